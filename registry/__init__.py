@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         Register as Register,
         hookimpl as hookimpl,
     )
+    from .contract.host_defaults import HostDefaults as HostDefaults, Percent as Percent
     from .contract.prior import Prior as Prior
     from .contract.scene import (
         Fact as Fact,

@@ -14,11 +14,16 @@ import pytest
 
 import registry
 import stereogs
-from registry.contract.hook_points import HOOK_POINTS, OTHER_HOOKS, HookPoint
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import check
-from stereogs.verbs.new_plugin.package_files import KINDS
+from tests.host import (
+    HOOK_POINTS,
+    KINDS,
+    OTHER_HOOKS,
+    SELECTION,
+    HookPoint,
+    Plugins,
+    parse_pipeline,
+)
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = (DOCS / "write_a_plugin.md").read_text("utf-8")

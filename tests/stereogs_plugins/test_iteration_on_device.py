@@ -7,14 +7,9 @@ from typing import Any
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
-from core_rasterizer.device import Program, Variant
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
-from registry.training.initial_model import initial_gaussians
-from registry.training.trainer import Trainer
 from tests.core_rasterizer.traffic import Traffic, counted
+from tests.host import Parts, Plugins, Program, Trainer, Variant, initial_gaussians, parse_pipeline
 
 PIPELINE = """\
 name: t

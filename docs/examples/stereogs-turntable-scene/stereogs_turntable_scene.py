@@ -17,7 +17,7 @@ import pydantic
 from registry.toolkit import photos
 from stereogs import api
 
-STEREOGS_API = 3
+STEREOGS_API = 1
 """Version of the plugin API that this module was written for."""
 
 

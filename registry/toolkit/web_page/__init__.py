@@ -33,6 +33,6 @@ if TYPE_CHECKING:
         verbatim as verbatim,
         wipe as wipe,
     )
-    from .line_plot import Axis as Axis, Line as Line, Point as Point, line_plot as line_plot
+    from .svg_plot import Axis as Axis, Line as Line, Point as Point, line_plot as line_plot
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Context, PluginError, Regularizer, Settings, Step
+from registry import Context, HostDefaults, PluginError, Regularizer, Settings, Step
 
 from .estimate import Farness
 
@@ -56,7 +56,7 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
     """
 
     needs_priors = (("monocular_depth", "multi_view_depth"),)
-    host_defaults = "{step: alone}"
+    host_defaults = HostDefaults(step="alone")
 
     def __init__(self, settings: PatchDepthSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Context, Register, Regularizer, Settings, Step, TrainingView, hookimpl
+from registry import (
+    Context,
+    HostDefaults,
+    Percent,
+    Register,
+    Regularizer,
+    Settings,
+    Step,
+    TrainingView,
+    hookimpl,
+)
 from registry.priors import Disparity, StereoPrior
 from registry.toolkit.networks.image_fitting import at_size
 from registry.toolkit.photos import dark_background
@@ -69,7 +79,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     """
 
     needs_priors = ("stereo_disparity",)
-    host_defaults = "{start: 66.67%}"
+    host_defaults = HostDefaults(start=Percent(66.67))
 
     def __init__(self, settings: StereoDepthSettings, context: Context) -> None:
         from .lazy_refresh import LazyRefresh

@@ -8,17 +8,10 @@ from pathlib import Path
 
 import pytest
 
-import registry.runs.run as runs
 import stereogs.quality.rehearsal as rehearsal
 from core_rasterizer import Device
 from registry import Scene
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.runs.evaluation import evaluate
-from registry.runs.options import InitialState, Plan, RunOptions
-from registry.runs.run import Run
-from registry.runs.training_run import start
-from registry.training.field import Field
+from stereogs import Pipeline, Run, RunOptions
 from stereogs.quality.fitting import MIN_ITERATIONS, Budget, WithinSeconds, WithQuality
 from stereogs.quality.table import (
     LONG,
@@ -31,6 +24,7 @@ from stereogs.quality.table import (
     by_length,
     by_quality,
 )
+from tests.host import Field, InitialState, Plan, Plugins, evaluate, parse_pipeline, start
 
 TEXT = """\
 name: {name}
@@ -63,7 +57,7 @@ class Machine:
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
         monkeypatch.setattr(rehearsal, "evaluate", evaluated)
-        monkeypatch.setattr(runs, "evaluate", evaluated)
+        monkeypatch.setattr("registry.runs.run.evaluate", evaluated)
 
     def budget(self, seconds: float) -> Budget:
         return Budget(seconds, self.now, lambda: self.now)

@@ -10,10 +10,9 @@ import pytest
 import stereogs.quality.sizing as sizing
 from core_rasterizer import Device
 from registry import RunError, Scene
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, load_pipeline
+from stereogs import Pipeline, load_scene, train
 from stereogs.quality.fitting import Budget, SizePlan, WithinSeconds
-from stereogs.session import load_scene, train
+from tests.host import Plugins, load_pipeline
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 
 WIDTH = 640

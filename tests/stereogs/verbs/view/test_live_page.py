@@ -15,14 +15,11 @@ pytest.importorskip("viser")
 from websockets.exceptions import ConnectionClosed
 
 import stereogs
-from registry.pipeline.pipeline import Pipeline
-from registry.runs.options import Plan, RunOptions
-from registry.runs.run import Run
-from registry.training.trainer import Iteration
-from stereogs.cli import main
-from stereogs.command_line.command import TrainRequest
+from stereogs import Iteration, Pipeline, Run, RunOptions
+from stereogs.api import TrainRequest
 from stereogs.verbs.view.live_page import LivePage
 from stereogs.verbs.view.option import LiveView
+from tests.host import Plan, main
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs.verbs.view.browser import WINDOW, Received, move, visit
 
