@@ -165,6 +165,6 @@ def test_without_test_views_their_file_is_not_needed(tmp_path: Path) -> None:
     folder = write_blender(tmp_path, World())
     (folder / "transforms_test.json").unlink()
     assert len(load(folder, train_ids=None, test_every=0).train) == 9
-    with pytest.raises(SceneError, match="transforms_test.json is missing") as caught:
+    with pytest.raises(SceneError, match=r"transforms_test.json is missing") as caught:
         load(folder)
     assert "test_every: 0" in caught.value.fix
