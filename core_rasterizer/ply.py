@@ -133,7 +133,7 @@ def load_ply(path: str | Path) -> Gaussians:
 
 
 def _not_gaussians(missing: list[str], available: set[str], path: Path) -> PlyError:
-    """Return the error for vertices without a required property, which says what they are if that is known."""
+    """Return the error for vertices that lack a property; it says what they are if that is known."""
     if "packed_position" in available:
         return PlyError("the scene was compressed by SuperSplat", where=str(path), fix=CONVERT)
     if missing == ["scale_2"]:
