@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -53,10 +51,10 @@ class Unprojected:
             self.detach,
         )
 
-    def step(self, arguments: Sequence[DeviceArray | np.generic]) -> None:
-        """Use the gradients for a step of Adam, without writing them."""
+    def step(self, **arguments: DeviceArray | float) -> None:
+        """Use the gradients for a step of Adam, without writing them; its kernel arguments by name."""
         self.renderer.project_backward_and_step(
-            self.lease.frame, self.block, self.sums, self.statistics, self.detach, arguments
+            self.lease.frame, self.block, self.sums, self.statistics, self.detach, **arguments
         )
 
 

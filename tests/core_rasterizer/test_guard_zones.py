@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -71,10 +70,10 @@ def test_the_zones_catch_writes_outside_a_buffer(device: Device, pattern: int) -
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
     program = inside.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
-    arguments = (np.uint32(15), np.uint32(1))
-    program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
+    arrays = {"counts": array, "totals": totals}
+    program.run("scan_chunks", (16,), (16,), **arrays, buckets=15, chunks=1)
     assert inside.check() == 2
-    program.run("scan_chunks", (16,), (16,), array, totals, np.uint32(16), np.uint32(1))
+    program.run("scan_chunks", (16,), (16,), **arrays, buckets=16, chunks=1)
     assert totals.read()[15] == torch.tensor([pattern] * 4, dtype=torch.uint8).view(torch.int32)
     with pytest.raises(AssertionError, match="after buffer 0"):
         inside.check()

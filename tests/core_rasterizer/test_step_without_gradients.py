@@ -70,9 +70,9 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     run = Program.run
 
-    def counted(self: Program, kernel: str, *arguments: Any) -> None:
+    def counted(self: Program, kernel: str, *size: Any, **arguments: Any) -> None:
         names.append(kernel)
-        run(self, kernel, *arguments)
+        run(self, kernel, *size, **arguments)
 
     monkeypatch.setattr(Program, "run", counted)
     return names

@@ -80,9 +80,9 @@ def test_only_iterations_with_a_reader_store_gradients(monkeypatch: pytest.Monke
     kernels: list[str] = []
     run = Program.run
 
-    def counted(self: Program, kernel: str, *arguments: Any) -> None:
+    def counted(self: Program, kernel: str, *size: Any, **arguments: Any) -> None:
         kernels.append(kernel)
-        run(self, kernel, *arguments)
+        run(self, kernel, *size, **arguments)
 
     monkeypatch.setattr(Program, "run", counted)
     every_second = PIPELINE.replace(
