@@ -89,9 +89,9 @@ class Adam:
         moving = _groups_without(skip)
         self._model.steps += 1
         gradients = self._model.gradients
-        unprojected = None if keep_gradients else gradients.take()
-        if unprojected is None:
-            gradients.settle()
+        deferred = None if keep_gradients else gradients.take_deferred()
+        if deferred is None:
+            gradients.store()
         for name in moving:
             self._steps[name] += 1
         rows = row_count(min(math.ceil(active_sh_degree), self._model.sh_degree))
@@ -102,12 +102,12 @@ class Adam:
             "moving": sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving),
             "undefined": self._undefined,
         }
-        if unprojected is None:
+        if deferred is None:
             self._run(gradients.rows, arguments, rows)
         else:
-            unprojected.step(**arguments, rows=rows)
+            deferred.step(**arguments, rows=rows)
         if not keep_gradients:
-            gradients.give_up()
+            gradients.mark_used()
         self._read_undefined = self._undefined.begin_reading()
 
     def _rates(self, learning_rates: Mapping[str, float]) -> dict[str, float]:

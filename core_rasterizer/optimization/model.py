@@ -69,7 +69,7 @@ class GaussianModel(GaussianStorage):
     @property
     def backward_passes(self) -> int:
         """Number of backward passes that have written gradients."""
-        return self.gradients.writes
+        return self.gradients.passes
 
     def gradient_of_renders(self, group: str) -> Tensor:
         """The gradient of a group of `PARAMETER_GROUPS` from renders only, `[rows, N]`."""
