@@ -29,12 +29,9 @@ if TYPE_CHECKING:
         GaussianModel,
         Model,
         OpenCLEngine,
-        Optimizer,
         Relocation,
         apply_edit,
-        engine_on,
         photometric_loss,
-        shared_among_copies,
     )
     from .optimization import ModelReader as GaussianReader
     from .ply import load_ply, load_points, save_ply
@@ -59,12 +56,10 @@ __all__ = [
     "MemoryBudgetError",
     "Model",
     "OpenCLEngine",
-    "Optimizer",
     "PlyError",
     "Relocation",
     "Rendering",
     "apply_edit",
-    "engine_on",
     "list_devices",
     "load_ply",
     "load_points",
@@ -72,5 +67,4 @@ __all__ = [
     "photometric_loss",
     "rasterize",
     "save_ply",
-    "shared_among_copies",
 ]

@@ -61,7 +61,6 @@ FACES = {
     name: f"{name.replace('.', '/')}/__init__.py"
     for name in (
         "core_rasterizer",
-        "core_rasterizer.device",
         "core_rasterizer.matching",
         "registry",
         "registry.priors",

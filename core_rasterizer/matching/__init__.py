@@ -7,7 +7,7 @@ from ..first_use import names_on_first_use
 if TYPE_CHECKING:
     from .feature_sweep import FeatureSweep
     from .limits import MAX_PATCH_SOURCES, MAX_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
-    from .patch_match import PatchMatch, PlaneMap
+    from .patch_match import PatchMatch
     from .plane_sweep import ZnccSweep
     from .rectified import census_costs, feature_costs, right_costs, zncc_costs
     from .semi_global import CostVolume, Penalties, aggregate, pick
@@ -25,7 +25,6 @@ __all__ = [
     "FeatureSweep",
     "PatchMatch",
     "Penalties",
-    "PlaneMap",
     "ZnccSweep",
     "aggregate",
     "census_costs",

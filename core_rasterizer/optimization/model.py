@@ -19,7 +19,7 @@ from ..rendering import Rendering
 from .adam import Adam
 from .autograd import ACTIVATED, ParameterFunction, RenderFunction
 from .edit import Carried, Edit
-from .engine import Engine, Model
+from .engine import Model
 from .photometric import photometric_loss
 from .storage import GaussianStorage
 from .topology import apply_edit
@@ -223,11 +223,6 @@ class OpenCLEngine:
     ) -> Carried:
         """See `apply_edit`."""
         return apply_edit(model, optimizer, edit, generator)
-
-
-def engine_on(device: Device | Engine) -> Engine:
-    """The OpenCL engine of a device; an engine is returned as it is."""
-    return OpenCLEngine(device) if isinstance(device, Device) else device
 
 
 class ModelReader:

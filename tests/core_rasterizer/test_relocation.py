@@ -18,9 +18,9 @@ from core_rasterizer import (
     Gaussians,
     Relocation,
     apply_edit,
-    shared_among_copies,
 )
 from core_rasterizer.layout import PARAMETERS
+from core_rasterizer.optimization.topology import shared_among_copies
 from tests.core_rasterizer.test_topology import generator, mask, trained
 
 
