@@ -13,7 +13,7 @@ import torch
 from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
 from core_rasterizer.device import DeviceArray
 from core_rasterizer.device import device as device_module
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters
 
 
 @pytest.fixture

@@ -28,9 +28,7 @@ from core_rasterizer.raster import Renderer, RenderRequest
 from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
-from tests.core_rasterizer.scenes import random_camera, random_scene
-from tests.core_rasterizer.test_model import parameters
-from tests.core_rasterizer.test_rasterize import weighted_loss
+from tests.core_rasterizer.scenes import parameters, random_camera, random_scene, weighted_loss
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from core_rasterizer import Adam, Device, ExplainedError, GaussianError, GaussianModel
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import parameters, view
 
 NAMES = (*PARAMETERS, "opacities", "scales")
 STORED = {"opacities": "opacity_logits", "scales": "log_scales"}

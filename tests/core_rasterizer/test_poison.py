@@ -31,8 +31,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.options import posed
-from tests.core_rasterizer.scenes import Scene, random_scene
-from tests.core_rasterizer.test_rasterize import NAMES, weighted_loss
+from tests.core_rasterizer.scenes import NAMES, Scene, random_scene, weighted_loss
 
 IN_THE_SUITE = 300
 SCENES = int(os.environ.get("STRESS_SCENES", IN_THE_SUITE))

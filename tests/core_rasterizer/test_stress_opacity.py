@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from core_rasterizer import Device, GaussianModel, Gaussians
-from tests.core_rasterizer.scenes import Scene
+from tests.core_rasterizer.scenes import Scene, parameters
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,
@@ -18,7 +18,6 @@ from tests.core_rasterizer.stress import (
     plain_camera,
     there_and_back,
 )
-from tests.core_rasterizer.test_model import parameters
 
 CUT = np.float32(1 / 255)
 

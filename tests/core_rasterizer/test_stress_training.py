@@ -17,7 +17,7 @@ from core_rasterizer import (
     apply_edit,
 )
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, rows_of
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import parameters, view
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
 

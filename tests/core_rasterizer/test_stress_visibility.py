@@ -11,6 +11,7 @@ import torch
 from core_rasterizer import Adam, Device, GaussianModel, Gaussians
 from core_rasterizer.layout import PARAMETER_GROUPS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
+from tests.core_rasterizer.scenes import NAMES, parameters
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,
@@ -19,8 +20,6 @@ from tests.core_rasterizer.stress import (
     plain_camera,
     there_and_back,
 )
-from tests.core_rasterizer.test_model import parameters
-from tests.core_rasterizer.test_rasterize import NAMES
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
 

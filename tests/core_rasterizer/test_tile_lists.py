@@ -26,8 +26,7 @@ from core_rasterizer import (
 from core_rasterizer.device import DeviceProfile
 from core_rasterizer.layout import COUNTERS, GAUSSIAN, PARAMETER_GROUPS
 from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import parameters, random_camera, view
 
 CUT = 1 / 255
 

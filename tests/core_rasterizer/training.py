@@ -18,9 +18,8 @@ from core_rasterizer import (
 )
 from core_rasterizer.layout import PARAMETER_GROUPS
 from tests.core_rasterizer.options import posed, smoothing_of
-from tests.core_rasterizer.scenes import random_camera
+from tests.core_rasterizer.scenes import parameters, random_camera
 from tests.core_rasterizer.slanted_wall import matching_digest
-from tests.core_rasterizer.test_model import parameters
 
 RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
 
