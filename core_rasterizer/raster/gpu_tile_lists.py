@@ -33,15 +33,6 @@ class Runs(NamedTuple):
         return cls(bits.bit_length(), max(1, -(-entries >> bits.bit_length())))
 
 
-class _Sorted(NamedTuple):
-    """Input and output of a sort, by the kernels' names."""
-
-    keys: DeviceArray
-    values: DeviceArray
-    keys_out: DeviceArray
-    values_out: DeviceArray
-
-
 class GpuTileLists(TileLists):
     """A stable radix sort by depth, pairs by prefix sums, and a stable radix sort of the pairs by tile.
 
@@ -87,18 +78,17 @@ class GpuTileLists(TileLists):
         digit_bits = self._profile.digit_bits
         depths = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
         for number, (keys, order, out) in enumerate(depths):
-            arrays = self._sorted(keys, order, f"keys_{out}", f"order_{out}")
+            arrays = self._to_sort(keys, order, f"keys_{out}", f"order_{out}")
             of = _VISIBLE if number else _ALL
             self._sort(program, arrays, counters, of, count, number, digit_bits)
         self._emit(program, frame, count, pair_capacity)
-        names = ("a", "b")
+        sides = ("a", "b")
         for number in range(passes):
-            here, there = names[number % 2], names[(number + 1) % 2]
-            arrays = self._sorted(
-                f"tiles_{here}", f"slots_{here}", f"tiles_{there}", f"slots_{there}"
-            )
+            here, there = sides[number % 2], sides[(number + 1) % 2]
+            names = (f"tiles_{here}", f"slots_{here}", f"tiles_{there}", f"slots_{there}")
+            arrays = self._to_sort(*names)
             self._sort(program, arrays, counters, _PAIRS, pair_capacity, number, bits)
-        last = names[passes % 2]
+        last = sides[passes % 2]
         self._run(
             program,
             "finish_lists",
@@ -111,15 +101,16 @@ class GpuTileLists(TileLists):
             pair_capacity=pair_capacity,
         )
 
-    def _sorted(self, keys: str, values: str, keys_out: str, values_out: str) -> _Sorted:
-        """Arguments of a sort, from the names of arrays."""
-        arrays = self._scratch
-        return _Sorted(arrays[keys], arrays[values], arrays[keys_out], arrays[values_out])
+    def _to_sort(self, *names: str) -> dict[str, DeviceArray]:
+        """Arguments of a sort: scratch arrays by the kernel's names."""
+        arrays = self._scratch.named(*names)
+        roles = ("keys", "values", "keys_out", "values_out")
+        return {role: arrays[name] for role, name in zip(roles, names, strict=True)}
 
     def _sort(
         self,
         program: Program,
-        arrays: _Sorted,
+        arrays: dict[str, DeviceArray],
         counters: DeviceArray,
         counter: int,
         limit: int,
@@ -129,6 +120,7 @@ class GpuTileLists(TileLists):
         """One pass of a radix sort.
 
         Args:
+            arrays: see `_to_sort`.
             counter: number of elements, see `_ALL`; none if it exceeds the limit.
             limit: capacity of the arrays.
             number: of the pass, from 0; in the first, values are the elements' indices.
@@ -145,28 +137,12 @@ class GpuTileLists(TileLists):
             "shift": number * bits,
             "digits": 1 << bits,
         }
-        self._run(program, "count_digits", chunks, keys=arrays.keys, **shared)
+        self._run(program, "count_digits", chunks, keys=arrays["keys"], **shared)
+        scanned: dict[str, DeviceArray | float] = {"totals": totals, "run_bits": runs.bits}
         entries = chunks << bits
-        self._run(
-            program,
-            "scan_runs",
-            runs.number,
-            table=counts,
-            totals=totals,
-            entries=entries,
-            run_bits=runs.bits,
-        )
-        self._run(
-            program,
-            "scatter_digits",
-            chunks,
-            **arrays._asdict(),
-            **shared,
-            totals=totals,
-            first=number == 0,
-            runs=runs.number,
-            run_bits=runs.bits,
-        )
+        self._run(program, "scan_runs", runs.number, table=counts, entries=entries, **scanned)
+        place = {"first": number == 0, "runs": runs.number}
+        self._run(program, "scatter_digits", chunks, **arrays, **shared, **scanned, **place)
 
     def _emit(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
         """Write tile and Gaussian of every pair, in the order of slots, and count them."""
