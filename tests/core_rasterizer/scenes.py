@@ -72,6 +72,16 @@ def random_scene(
     )
 
 
+def random_gaussians(count: int, degree: int, seed: int) -> Gaussians:
+    """Normally distributed parameters, not to be looked at."""
+    generator = torch.Generator().manual_seed(seed)
+    shapes = {"means": (3,), "log_scales": (3,), "quaternions": (4,), "opacity_logits": ()}
+    shapes["sh"] = ((degree + 1) ** 2, 3)
+    return Gaussians(
+        **{n: torch.randn(count, *shape, generator=generator) for n, shape in shapes.items()}
+    )
+
+
 def parameters(count: int = 200, seed: int = 0, sh_degree: int = 3) -> Gaussians:
     """A `random_scene` as a model stores it."""
     return stored(random_scene(torch.Generator().manual_seed(seed), count, sh_degree))

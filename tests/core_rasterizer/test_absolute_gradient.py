@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians
+from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.optimization import ModelReader
 from tests.core_rasterizer.scenes import parameters, random_camera, with_centers
 
@@ -52,7 +53,7 @@ def test_results_without_it_are_bit_identical(device: Device) -> None:
     plain, asked = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(plain, absolute=False)
     differentiate(asked)
-    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+    for name in PARAMETERS:
         assert torch.equal(plain.gradient(name), asked.gradient(name))
     assert torch.equal(plain.statistics.sums(), asked.statistics.sums()[:2])
     assert plain.statistics.sums().shape == (2, COUNT)

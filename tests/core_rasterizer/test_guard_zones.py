@@ -23,14 +23,19 @@ from core_rasterizer import (
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.layout import PARAMETER_GROUPS
 from core_rasterizer.raster import Renderer, RenderRequest
 from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
-from tests.core_rasterizer.scenes import parameters, random_camera, random_scene, weighted_loss
+from tests.core_rasterizer.scenes import (
+    parameters,
+    random_camera,
+    random_scene,
+    rates,
+    weighted_loss,
+)
 
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
+RATES = rates(1e-3)
 
 
 @cache

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Adam, Device, ExplainedError, GaussianError, GaussianModel
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
-from tests.core_rasterizer.scenes import parameters, view
+from core_rasterizer.layout import PARAMETERS
+from tests.core_rasterizer.scenes import parameters, rates, view
 
 NAMES = (*PARAMETERS, "opacities", "scales")
 STORED = {"opacities": "opacity_logits", "scales": "log_scales"}
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
+RATES = rates(1e-2)
 
 
 def weights_like(values: Tensor) -> Tensor:

@@ -24,9 +24,9 @@ from core_rasterizer import (
     photometric_loss,
 )
 from core_rasterizer.device import DeviceProfile
-from core_rasterizer.layout import COUNTERS, GAUSSIAN, PARAMETER_GROUPS
+from core_rasterizer.layout import COUNTERS, GAUSSIAN
 from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists
-from tests.core_rasterizer.scenes import parameters, random_camera, view
+from tests.core_rasterizer.scenes import parameters, random_camera, rates, view
 
 CUT = 1 / 255
 
@@ -188,7 +188,7 @@ def trained() -> tuple[Gaussians, Camera]:
         model.zero_gradients()
         rendering = model.render(cameras[step % 2], collect_statistics=True)
         photometric_loss(rendering, targets[step % 2]).backward()
-        optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 2e-2), active_sh_degree=3)
+        optimizer.step(rates(2e-2), active_sh_degree=3)
         if step % 20 == 19:
             busy = model.statistics.screen_gradient() > model.statistics.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
