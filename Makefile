@@ -122,9 +122,8 @@ bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over 
 profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
-curve: $(VENV)/.dev ## error against seconds, as a picture; needs an idle machine
+curve: $(VENV)/.dev ## a page with error against seconds; needs an idle machine
 	$(BIN)/stereogs bench benchmarks/curve.yaml --out benchmarks/out/curve
-	$(BIN)/python -m benchmarks.curve
 
 results: $(VENV)/.dev ## four pipelines on every data set, up to three seeds, hours; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.campaigns results --write-docs
@@ -149,7 +148,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,browser,heic,notebook,plot,spz,video,viewer]'
+	$(PIP) --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev

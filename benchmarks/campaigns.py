@@ -20,6 +20,7 @@ from benchmarks import (
 )
 from benchmarks.campaign import Campaign
 from benchmarks.results_picture import draw_first_views
+from benchmarks.trainings import SEEDS
 
 METHODS = Campaign(
     name="methods",
@@ -40,14 +41,13 @@ PARTS = Campaign(
     page="results.md",
     summary=parts_page.summary,
     tables=parts_page.tables,
-    group=parts_plan.shared_groups,
 )
 RESULTS = Campaign(
     name="results",
     title="Every data set, all tables",
     data=[case.data for case in results_plan.CASES],
-    plan=lambda plugins: results_plan.make_measurements(
-        results_plan.CASES, results_plan.METHODS, results_plan.SEEDS, plugins
+    plan=lambda plugins: results_plan.planned_runs(
+        results_plan.CASES, results_plan.METHODS, SEEDS, plugins
     ),
     page="results.md",
     summary=results_page.summary,

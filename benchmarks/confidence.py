@@ -27,8 +27,8 @@ import stereogs
 from benchmarks import pages
 from benchmarks.confidence_measures import auroc, ause, rank_correlation, reliability
 from benchmarks.left_out_scenes import OVERRIDES
-from benchmarks.results_plan import PIPELINES
-from benchmarks.training_records import RECORDS
+from benchmarks.records import RECORDS, append, lines
+from benchmarks.trainings import PIPELINES
 from registry import Scene, View
 from registry.runs.run import Run
 from registry.toolkit.views import predicted_psnr
@@ -120,8 +120,7 @@ def _errors(run: Run, view: View) -> tuple[NDArray[np.float64], float]:
 
 def recorded() -> list[dict[str, Any]]:
     """Return the records, in the order of the file."""
-    lines = FILE.read_text("utf-8").splitlines() if FILE.is_file() else []
-    return [json.loads(line) for line in lines]
+    return [*lines(FILE)]
 
 
 def tables(records: Sequence[Mapping[str, Any]]) -> str:
@@ -147,15 +146,15 @@ def _row(records: Sequence[Mapping[str, Any]], name: str) -> list[str]:
 
 
 def _reliability(records: Sequence[Mapping[str, Any]]) -> str:
-    rows = np.array([record[OURS]["reliability"] for record in records])
-    counts = rows[..., 0].sum(axis=0)
-    means = (rows[..., :1] * rows[..., 1:]).sum(axis=0) / counts.clip(1)[:, None]
-    lines = [
+    tenths = np.array([record[OURS]["reliability"] for record in records])
+    counts = tenths[..., 0].sum(axis=0)
+    means = (tenths[..., :1] * tenths[..., 1:]).sum(axis=0) / counts.clip(1)[:, None]
+    rows = [
         [f"{mean:.2f}", f"{right:.2f}", f"{count / counts.sum():.1%}"]
         for count, (mean, right) in zip(counts, means, strict=True)
         if count
     ]
-    return pages.table(["confidence", "share of right pixels", "of all pixels"], lines, left=0)
+    return pages.table(["confidence", "share of right pixels", "of all pixels"], rows, left=0)
 
 
 def summary(records: Sequence[Mapping[str, Any]]) -> str:
@@ -221,9 +220,7 @@ def main() -> None:
     known = {(record["case"], record["seed"]) for record in recorded()}
     for seed, case in product(SEEDS[: arguments.seeds], CASES):
         if (case, seed) not in known:
-            line = json.dumps(measured(case, seed))
-            with FILE.open("a", encoding="utf-8") as file:
-                file.write(f"{line}\n")
+            append(measured(case, seed), FILE)
             print(case, seed, flush=True)
     records = recorded()
     print(tables(records))

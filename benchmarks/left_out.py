@@ -24,14 +24,15 @@ from time import process_time
 
 from benchmarks import pages
 from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
-from benchmarks.results_plan import PIPELINES
+from benchmarks.records import append, lines
+from benchmarks.trainings import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.evaluation import evaluate
-from registry.training.initial_model import initial_gaussians, new_model
-from registry.training.trainer import Trainer, one_torch_thread
+from registry.training.assembly import assemble
+from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
 from stereogs.session import build_pipeline, load_scene
 
@@ -108,9 +109,10 @@ class Bench:
         begin = process_time()
         points = self._first_points(case, pipeline, parts, scene)
         had_points = process_time()
-        model = new_model(initial_gaussians(points, settings), settings, self.device)
-        for _ in Trainer(settings, parts, scene, model, points.maps, points.kinds).run():
+        trainer = assemble(parts, scene, points)
+        for _ in trainer.run():
             pass
+        model = trainer.model
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean
@@ -156,7 +158,8 @@ def measure(
     bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
 ) -> Iterator[tuple[Variant, Record]]:
     """Yield every variant on every case with every seed; train those without a record."""
-    known = {(record.case, record.changes, record.digest): record for record in _recorded()}
+    records = (Record(**values) for values in lines(OUT))
+    known = {(record.case, record.changes, record.digest): record for record in records}
     for case in cases:
         for seed in range(seeds):
             for variant in variants:
@@ -165,14 +168,14 @@ def measure(
                 key = (case, ",".join(bench.changes), pipeline_digest(built))
                 if key not in known:
                     known[key] = bench.trial(case, built)
-                    _record(known[key])
+                    append(asdict(known[key]), OUT)
                 yield variant, known[key]
 
 
 def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
     """Return means of each variant and its gain over the first, on the same cases and seeds."""
     headings = ["variant", "PSNR", "SSIM", "gain dB, mean", "by case", "training views", "CPU s"]
-    lines = []
+    cells = []
     rows = {v.name: [r for one, r in results if one == v] for v in variants}
     first = rows[variants[0].name]
     for name, records in rows.items():
@@ -182,7 +185,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
             fmean(g for g, r in zip(gains, records, strict=True) if r.case == case)
             for case in cases
         ]
-        lines.append(
+        cells.append(
             [
                 name,
                 f"{fmean(r.psnr for r in records):.2f}",
@@ -194,19 +197,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
                 f"{fmean(r.gaussians for r in records):,.0f}",
             ]
         )
-    return pages.table([*headings, "Gaussians"], lines)
-
-
-def _recorded() -> list[Record]:
-    if not OUT.is_file():
-        return []
-    return [Record(**json.loads(line)) for line in OUT.read_text().splitlines()]
-
-
-def _record(record: Record) -> None:
-    OUT.parent.mkdir(exist_ok=True)
-    with OUT.open("a") as file:
-        file.write(json.dumps(asdict(record)) + "\n")
+    return pages.table([*headings, "Gaussians"], cells)
 
 
 def main() -> int:

@@ -17,13 +17,12 @@ from benchmarks.cells import (
     spread,
     time_ratio,
 )
-from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
-from benchmarks.results_plan import Case
-from benchmarks.training_records import Record as AnyRecord
-from benchmarks.training_records import processor
+from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, MethodTraining
+from benchmarks.records import Record as AnyRecord
+from benchmarks.trainings import Case, Method, Points
 from stereogs.experiments.comparing.paper_tables import PaperTables, paper_tables
 
-Record = AnyRecord[MethodRun]
+Record = AnyRecord[MethodTraining]
 Records = Sequence[Record]
 
 PAPER = "stereogs"
@@ -102,7 +101,7 @@ def tables(records: Records, planned: int) -> str:
 def _table(group: Group, records: Records, paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     machine = commonest_processor(records)
-    several = len(set(map(processor, records))) > 1
+    several = len({record.processor for record in records}) > 1
     scores = scores_shown(records)
     headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
     headings += [f"CPU s, {machine}" if several else "CPU s", f"CPU / {BASELINE.title}", "MB"]
@@ -125,7 +124,7 @@ def _cells(
     machine: str,
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
-    on_machine = [[r for r in records if processor(r) == machine] for records in by_scene]
+    on_machine = [[r for r in records if r.processor == machine] for records in by_scene]
     is_baseline = own[0].run.method is BASELINE
 
     def mean(number: Callable[[Record], float | None], form: str) -> str:

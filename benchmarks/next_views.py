@@ -11,15 +11,14 @@ stopped. With `--write-docs` rewrites the tables.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from time import process_time
 
 from benchmarks.next_views_page import SUGGESTED, Measured, summary, table, write_page
 from benchmarks.next_views_rules import RULES, Chosen, suggested
 from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
-from benchmarks.results_plan import check_data
+from benchmarks.records import RECORDS, append, lines
+from benchmarks.trainings import check_data
 from registry import RunError
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
@@ -28,7 +27,7 @@ from registry.training.trainer import one_torch_thread
 from stereogs.session import train
 from stereogs.verbs.next_views.gain import ExpectedGain
 
-RECORDS = Path(__file__).parent / "records" / "next_views.jsonl"
+FILE = RECORDS / "next_views.jsonl"
 LAST = 6
 """Photographs at the end."""
 
@@ -100,7 +99,7 @@ class Bench:
                 chosen = suggested(scene, views, run)
             known = Suggestion(*key, self._code, chosen, round(process_time() - begin, 2))
             self._suggestions[key] = known
-            _append(known)
+            append(asdict(known), FILE)
         return known.next
 
     def _trained(self, scene: PoolScene, views: Chosen) -> Run:
@@ -116,7 +115,7 @@ class Bench:
             self._newest = key, run
             if key not in self._trainings:
                 self._trainings[key] = Training(*key, _psnr(run), seconds, run.hash)
-                _append(self._trainings[key])
+                append(asdict(self._trainings[key]), FILE)
         return self._newest[1]
 
 
@@ -133,19 +132,12 @@ def _psnr(run: Run) -> float:
     return round(mean, 4)
 
 
-def _append(record: Training | Suggestion) -> None:
-    RECORDS.parent.mkdir(exist_ok=True)
-    with RECORDS.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(record)) + "\n")
-
-
 def read_records() -> tuple[
     dict[tuple[str, Chosen], Training], dict[tuple[str, Chosen], Suggestion]
 ]:
     """Return the trainings and the suggestions by scene and set; the last of each counts."""
     trainings, suggestions = {}, {}
-    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
-        values = json.loads(line)
+    for values in lines(FILE):
         key = values["scene"], tuple(values.pop("views"))
         if "psnr" in values:
             trainings[key] = Training(views=key[1], **values)

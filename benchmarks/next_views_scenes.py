@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from benchmarks.left_out_scenes import half
-from benchmarks.results_plan import DATA
+from benchmarks.trainings import DATA
 from core_rasterizer import Camera
 from registry import Scene, View
 from registry.toolkit.photos import evenly_spaced

@@ -14,14 +14,14 @@ from benchmarks.parts_plan import (
     NOTHING,
     TABLES,
     TERM_TABLE,
-    PartsRun,
+    PartsTraining,
     Row,
     Table,
 )
-from benchmarks.training_records import Record as AnyRecord
+from benchmarks.records import Record as AnyRecord
 from stereogs.experiments.comparing.paper_tables import Ablation, paper_tables
 
-Record = AnyRecord[PartsRun]
+Record = AnyRecord[PartsTraining]
 Records = Sequence[Record]
 
 PAPER = "stereogs"
@@ -38,7 +38,7 @@ columns after it are means over scenes. *inferences* is the number of inferences
 with the paper's networks and 30,000 iterations, from
 {source}.
 
-{count} Runs that differ in the stereo term only share the iterations before the term starts; each ends
+{count} Some runs that differ in the stereo term only shared the iterations before the term starts; each ended
 in the bits of a whole run.
 """
 

@@ -9,7 +9,6 @@ With `--write-docs` rewrites the tables.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from benchmarks import pages
 from benchmarks.photos_published import SCENES, Published, pictures
 from benchmarks.photos_scored import psnr_of_both
+from benchmarks.records import RECORDS, append, lines
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
@@ -31,12 +31,14 @@ from registry.toolkit.photos import (
     longest_side,
     read_colmap_model,
 )
-from stereogs_plugins.scenes.photos.learned_matches import FOLDER_VARIABLE
-from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import MIN_PHOTOS, UnposedPhoto, image_index
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
+from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
+from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
 PAGE = pages.DOCS / "your_own_photographs.md"
-RECORDS = Path(__file__).parent / "records" / "photos.jsonl"
+FILE = RECORDS / "photos.jsonl"
 SETS = ("near 3", "3", "4", "near 6", "6", "8", "12")
 """Neighbouring pictures from the first third on, or evenly spaced ones; cheapest first."""
 _MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
@@ -148,8 +150,7 @@ def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
 def read_records() -> dict[tuple[str, str, bool], Record]:
     """Return the records by case."""
     found = {}
-    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
-        values = json.loads(line)
+    for values in lines(FILE):
         errors = values.pop("errors")
         record = Record(**values, errors=Errors(**errors) if errors else None)
         found[record.case] = record
@@ -219,8 +220,7 @@ def main() -> None:
             record = measure(*case)
         if record is not None:
             records[case] = record
-            with RECORDS.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(record)) + "\n")
+            append(asdict(record), FILE)
     listed = sorted(records.values(), key=lambda r: (SCENES.index(r.scene), SETS.index(r.chosen)))
     print(summary(records))
     if arguments.write_docs:

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter  # type: ignore[attr-defined]
 from torch import Tensor
 
-from benchmarks.results_plan import CASES, DATA, PIPELINES
+from benchmarks.results_plan import CASES
+from benchmarks.trainings import DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, Scene, View
 from registry.priors import MultiViewDepthPrior

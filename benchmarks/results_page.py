@@ -8,11 +8,11 @@ from typing import TypeVar
 
 from benchmarks import pages
 from benchmarks.cells import NONE, count, gain, scores_shown, spread
-from benchmarks.results_plan import Measurement, Method
-from benchmarks.training_records import Record as AnyRecord
+from benchmarks.records import Record as AnyRecord
+from benchmarks.trainings import Method, Training
 from benchmarks.view_angles import recorded
 
-Record = AnyRecord[Measurement]
+Record = AnyRecord[Training]
 Records = Sequence[Record]
 Key = TypeVar("Key", bound=Hashable)
 Cells = Callable[[Records, Method], str]

@@ -34,8 +34,8 @@ from registry.system.files import write_json, write_text
 from registry.toolkit.cache import FOLDER_VARIABLE
 from stereogs.experiments.planning.matrix import Matrix, plan_of
 from stereogs.experiments.planning.plan import Plan, PlannedRun
-from stereogs.experiments.running.folder import AblationFolder
-from stereogs.experiments.running.runner import choose_runner, train_all
+from stereogs.experiments.running.folder import ExperimentFolder
+from stereogs.experiments.running.pool import choose_runner, train_all
 from stereogs.experiments.showing.page import as_page
 from stereogs.quality.table import SHORT
 
@@ -120,7 +120,7 @@ def in_turns(plan: Plan) -> list[PlannedRun]:
     return sorted(plan.runs, key=lambda run: (run.seed, places[run.scene]))
 
 
-def measure(plan: Plan, folder: AblationFolder, device: str | None, console: Console) -> bool:
+def measure(plan: Plan, folder: ExperimentFolder, device: str | None, console: Console) -> bool:
     """Train the missing runs, one at a time; return True if all are finished.
 
     Raises:
@@ -149,7 +149,7 @@ def _cpu_seconds_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def read(plan: Plan, folder: AblationFolder) -> list[Measured]:
+def read(plan: Plan, folder: ExperimentFolder) -> list[Measured]:
     """Return the measurements of the finished runs."""
     found = []
     for run in plan.runs:
@@ -188,7 +188,7 @@ def main() -> int:
     console = Console(markup=False, highlight=False, soft_wrap=True)
     try:
         plan = make_plan(arguments.scenes, arguments.seeds, arguments.iterations)
-        folder = AblationFolder(arguments.out)
+        folder = ExperimentFolder(arguments.out)
         whole = measure(plan, folder, arguments.device, console)
         results = {run: folder.results(run) for run in plan.runs}
         write_text(folder.path / "index.html", as_page(plan, results, folder))

@@ -20,8 +20,8 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks import pages
-from benchmarks.results_plan import DATA, PIPELINES
 from benchmarks.stage_clock import BORN
+from benchmarks.trainings import DATA, PIPELINES
 
 ROOT = Path(__file__).parent.parent
 TARGET = "profile"

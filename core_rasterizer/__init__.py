@@ -9,62 +9,32 @@ from typing import TYPE_CHECKING
 from .first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .camera import Camera
-    from .device import Device, list_devices, open_device
+    from .camera import Camera as Camera
+    from .device import Device as Device, list_devices as list_devices, open_device as open_device
     from .errors import (
-        CameraError,
-        DeviceError,
-        ExplainedError,
-        GaussianError,
-        MemoryBudgetError,
-        PlyError,
+        CameraError as CameraError,
+        DeviceError as DeviceError,
+        ExplainedError as ExplainedError,
+        GaussianError as GaussianError,
+        MemoryBudgetError as MemoryBudgetError,
+        PlyError as PlyError,
     )
-    from .functional import rasterize
-    from .gaussians import Gaussians
+    from .functional import rasterize as rasterize
+    from .gaussians import Gaussians as Gaussians
     from .optimization import (
-        Adam,
-        Carried,
-        Edit,
-        Engine,
-        GaussianModel,
-        Model,
-        OpenCLEngine,
-        Relocation,
-        apply_edit,
-        photometric_loss,
+        Adam as Adam,
+        Carried as Carried,
+        Edit as Edit,
+        Engine as Engine,
+        GaussianModel as GaussianModel,
+        GaussianReader as GaussianReader,
+        Model as Model,
+        OpenCLEngine as OpenCLEngine,
+        Relocation as Relocation,
+        apply_edit as apply_edit,
+        photometric_loss as photometric_loss,
     )
-    from .optimization import ModelReader as GaussianReader
-    from .ply import load_ply, load_points, save_ply
-    from .rendering import Rendering
+    from .ply import load_ply as load_ply, load_points as load_points, save_ply as save_ply
+    from .rendering import Rendering as Rendering
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "Adam",
-    "Camera",
-    "CameraError",
-    "Carried",
-    "Device",
-    "DeviceError",
-    "Edit",
-    "Engine",
-    "ExplainedError",
-    "GaussianError",
-    "GaussianModel",
-    "GaussianReader",
-    "Gaussians",
-    "MemoryBudgetError",
-    "Model",
-    "OpenCLEngine",
-    "PlyError",
-    "Relocation",
-    "Rendering",
-    "apply_edit",
-    "list_devices",
-    "load_ply",
-    "load_points",
-    "open_device",
-    "photometric_loss",
-    "rasterize",
-    "save_ply",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -50,8 +50,8 @@ def page() -> str:
 def _component(offer: Offer) -> str:
     summary = inspect.cleandoc(offer.component.__doc__ or "")
     parts = [f"### {offer.name}\n\n{summary}\n\n{_table(offer.settings_type)}"]
-    if (defaults := offer.component.host_defaults) != "{}":
-        parts.append(f"Defaults of host settings: `{defaults.strip('{}')}`.\n")
+    if defaults := str(offer.component.host_defaults):
+        parts.append(f"Defaults of host settings: `{defaults}`.\n")
     for name, field in offer.settings_type.model_fields.items():
         if isinstance(nested := field.get_default(call_default_factory=True), Settings):
             parts.append(f"#### `{offer.name}`: `{name}`\n\n{_table(type(nested))}")

@@ -19,73 +19,53 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .contract.checks.scene import validate
-    from .contract.component import Component, Context, ParameterGroup, Settings
-    from .contract.components import (
-        Appearance,
-        AverageErrorRole,
-        Densification,
-        Exporter,
-        Initializer,
-        Metric,
-        Modifier,
-        Observer,
-        OpacityPolicy,
-        OpacityUpdate,
-        Perturbation,
-        Regularizer,
-        Report,
-        Sampler,
-        SceneLoader,
-        Unavailable,
-        ViewMetric,
+    from .contract.checks.scene import validate as validate
+    from .contract.component import (
+        Component as Component,
+        Context as Context,
+        ParameterGroup as ParameterGroup,
+        Settings as Settings,
     )
-    from .contract.hook_points import API_VERSION, Register, hookimpl
-    from .contract.prior import Prior
-    from .contract.scene import Fact, PointCloud, Scene, TrainingScene, TrainingView, View
-    from .contract.step import OtherField, Render, Sample, Step
-    from .errors import PluginError, RunError, SceneError
+    from .contract.components import (
+        Appearance as Appearance,
+        AverageErrorRole as AverageErrorRole,
+        Densification as Densification,
+        Exporter as Exporter,
+        Initializer as Initializer,
+        Metric as Metric,
+        Modifier as Modifier,
+        Observer as Observer,
+        OpacityPolicy as OpacityPolicy,
+        OpacityUpdate as OpacityUpdate,
+        Perturbation as Perturbation,
+        Regularizer as Regularizer,
+        Report as Report,
+        Sampler as Sampler,
+        SceneLoader as SceneLoader,
+        Unavailable as Unavailable,
+        ViewMetric as ViewMetric,
+    )
+    from .contract.hook_points import (
+        API_VERSION as API_VERSION,
+        Register as Register,
+        hookimpl as hookimpl,
+    )
+    from .contract.host_defaults import HostDefaults as HostDefaults, Percent as Percent
+    from .contract.prior import Prior as Prior
+    from .contract.scene import (
+        Fact as Fact,
+        PointCloud as PointCloud,
+        Scene as Scene,
+        TrainingScene as TrainingScene,
+        TrainingView as TrainingView,
+        View as View,
+    )
+    from .contract.step import (
+        OtherField as OtherField,
+        Render as Render,
+        Sample as Sample,
+        Step as Step,
+    )
+    from .errors import PluginError as PluginError, RunError as RunError, SceneError as SceneError
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "API_VERSION",
-    "Appearance",
-    "AverageErrorRole",
-    "Component",
-    "Context",
-    "Densification",
-    "Exporter",
-    "Fact",
-    "Initializer",
-    "Metric",
-    "Modifier",
-    "Observer",
-    "OpacityPolicy",
-    "OpacityUpdate",
-    "OtherField",
-    "ParameterGroup",
-    "Perturbation",
-    "PluginError",
-    "PointCloud",
-    "Prior",
-    "Register",
-    "Regularizer",
-    "Render",
-    "Report",
-    "RunError",
-    "Sample",
-    "Sampler",
-    "Scene",
-    "SceneError",
-    "SceneLoader",
-    "Settings",
-    "Step",
-    "TrainingScene",
-    "TrainingView",
-    "Unavailable",
-    "View",
-    "ViewMetric",
-    "hookimpl",
-    "validate",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

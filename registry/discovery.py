@@ -18,6 +18,7 @@ from .calls.watchdog import WATCHDOG, Hang
 from .contract.component import Component, Settings
 from .contract.components import IN_MEMORY, InMemoryScene, SceneLoader
 from .contract.hook_points import API_VERSION, HOOK_POINTS, OTHER_HOOKS, PROJECT, HookPoint
+from .contract.host_defaults import HostDefaults
 from .errors import PluginError, SceneError
 from .messages.suggestions import did_you_mean, listing
 
@@ -240,6 +241,9 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
         raise PluginError(f"{who} does not define {missing}")
     if not (isinstance(component.Settings, type) and issubclass(component.Settings, Settings)):
         raise PluginError(f"the Settings of {who} do not derive from registry.Settings")
+    if not isinstance(component.host_defaults, HostDefaults):
+        what = f"the host_defaults of {who} are not a HostDefaults"
+        raise PluginError(what, fix="write for example `host_defaults = HostDefaults(every=100)`")
     for setting in component.Settings.model_fields:
         if setting in point.host_settings:
             what = f"{who} has a setting {setting!r}, which belongs to the host"
@@ -249,7 +253,7 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
 def check_api(entry: EntryPoint, module: object) -> None:
     """Raise a PluginError if the module was written for another version of the plugin API."""
     wanted = getattr(module, "STEREOGS_API", API_VERSION)
-    if wanted not in (2, API_VERSION):  # documented plugins for 2 still work
+    if wanted != API_VERSION:
         raise PluginError(
             f"it needs stereogs API {wanted}, this is API {API_VERSION}",
             fix=f"pip install -U {_distribution(entry.dist)[0]} stereogs-plugins",

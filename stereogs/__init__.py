@@ -14,53 +14,31 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from core_rasterizer import Camera, ExplainedError, list_devices, open_device
-    from registry import PointCloud, Scene, View
-    from registry.pipeline.pipeline import Pipeline
-    from registry.runs.evaluation import Picture
-    from registry.runs.options import RunOptions
-    from registry.runs.run import Run
-    from registry.training.trainer import Iteration
-
-    from .quality import within
-    from .session import (
-        build_pipeline,
-        load_scene,
-        open_run,
-        render,
-        results,
-        resume,
-        scene_from_arrays,
-        train,
+    from core_rasterizer import (
+        Camera as Camera,
+        ExplainedError as ExplainedError,
+        list_devices as list_devices,
+        open_device as open_device,
     )
-    from .verbs.export import export
-    from .verbs.next_views import NextView, next_views
-else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
+    from registry import PointCloud as PointCloud, Scene as Scene, View as View
+    from registry.pipeline.pipeline import Pipeline as Pipeline
+    from registry.runs.evaluation import Picture as Picture
+    from registry.runs.options import RunOptions as RunOptions
+    from registry.runs.run import Run as Run
+    from registry.training.trainer import Iteration as Iteration
 
-__all__ = [
-    "Camera",
-    "ExplainedError",
-    "Iteration",
-    "NextView",
-    "Picture",
-    "Pipeline",
-    "PointCloud",
-    "Run",
-    "RunOptions",
-    "Scene",
-    "View",
-    "build_pipeline",
-    "export",
-    "list_devices",
-    "load_scene",
-    "next_views",
-    "open_device",
-    "open_run",
-    "render",
-    "results",
-    "resume",
-    "scene_from_arrays",
-    "train",
-    "within",
-]
+    from .quality import within as within
+    from .session import (
+        build_pipeline as build_pipeline,
+        load_scene as load_scene,
+        open_run as open_run,
+        render as render,
+        results as results,
+        resume as resume,
+        scene_from_arrays as scene_from_arrays,
+        train as train,
+    )
+    from .verbs.export import export as export
+    from .verbs.next_views import NextView as NextView, next_views as next_views
+else:
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

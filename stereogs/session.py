@@ -24,8 +24,7 @@ from registry.contract.scene import PointCloud, Scene, View
 from registry.discovery import Plugins
 from registry.errors import PipelineError, SceneError
 from registry.pipeline.edits import SECTIONS
-from registry.pipeline.pipeline import Item, Pipeline
-from registry.pipeline.pipeline import build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, build_pipeline as checked_pipeline
 from registry.pipeline.ready import find_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Node, Place, parse, read, to_yaml
@@ -38,6 +37,8 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera, Device, Engine, Model
     from registry.runs.evaluation import Picture
     from registry.runs.run import Run
+
+    from .quality.fitting import Fit
 
 __all__ = [
     "build_pipeline",
@@ -134,8 +135,7 @@ def load_scene(
             fix = "give the changes to build_pipeline"
             raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
-    from registry.pipeline.parts import build_part
-    from registry.pipeline.parts import load_scene as load_part
+    from registry.pipeline.parts import build_part, load_scene as load_part
     from registry.training.trainer import one_torch_thread
 
     with one_torch_thread():
@@ -195,6 +195,7 @@ def train(
     options: RunOptions | None = None,
     *,
     out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
+    fit: Fit | None = None,
     **changes: Any,
 ) -> Run:
     """Train a pipeline.
@@ -203,6 +204,7 @@ def train(
         pipeline: a pipeline, or any source that `build_pipeline` accepts.
         options: how the training runs.
         out: the run folder, new or empty, or a function that returns it; None writes nothing to disk.
+        fit: chooses the size of photographs, the pipeline and its length (`within`).
         changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
 
     Returns:
@@ -223,7 +225,7 @@ def train(
     from registry.runs.training_run import start
 
     folder = Path(out).expanduser() if isinstance(out, str | os.PathLike) else out
-    return start(checked, options, folder)
+    return (start if fit is None else fit.train)(checked, options, folder)
 
 
 def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:

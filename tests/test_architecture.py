@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import importlib
+import re
 import subprocess
 import sys
 import tomllib
@@ -47,35 +49,67 @@ def test_imports_go_one_way(file: Path) -> None:
 
 PLUGIN_FILES = sorted((ROOT / "stereogs_plugins").rglob("*.py"))
 FACES = {
-    name: f"{name.replace('.', '/')}.py"
-    for name in (
-        "registry.confidence",
-        "registry.errors",
-        "registry.events",
-        "registry.runners",
-        "registry.toolkit.networks.image_fitting",
-        "registry.toolkit.views.triangulation",
-        "registry.toolkit.views.virtual_views",
-    )
-} | {
-    name: f"{name.replace('.', '/')}/__init__.py"
-    for name in (
-        "core_rasterizer",
-        "core_rasterizer.matching",
-        "registry",
-        "registry.priors",
-        "registry.runs",
-        "registry.toolkit",
-        "registry.toolkit.cache",
-        "registry.toolkit.drawing",
-        "registry.toolkit.networks",
-        "registry.toolkit.photos",
-        "registry.toolkit.progress",
-        "registry.toolkit.views",
-        "registry.toolkit.web_page",
-    )
+    "core_rasterizer",
+    "core_rasterizer.matching",
+    "registry",
+    "registry.confidence",
+    "registry.events",
+    "registry.priors",
+    "registry.runners",
+    "registry.runs",
+    "registry.toolkit",
+    "registry.toolkit.cache",
+    "registry.toolkit.drawing",
+    "registry.toolkit.networks",
+    "registry.toolkit.networks.image_fitting",
+    "registry.toolkit.photos",
+    "registry.toolkit.progress",
+    "registry.toolkit.views",
+    "registry.toolkit.views.triangulation",
+    "registry.toolkit.views.virtual_views",
+    "registry.toolkit.web_page",
 }
-"""Modules that plugins may import from, and the files whose `__all__` says what."""
+"""Modules whose public names plugins may import."""
+
+
+TEST_FILES = [f for f in sorted((ROOT / "tests").rglob("*.py")) if "faulty_packages" not in f.parts]
+TEST_FACES = {*FACES, "stereogs", "stereogs.api", "stereogs.testing", "registry.testing"}
+"""Modules that all tests may import from, beside those of components, `stereogs_plugins.KIND.NAME`."""
+SUBJECT = re.compile(r"Tests of `([\w.]+)`.*, which import its modules\.")
+"""How a file of tests, or the `__init__.py` of its folder, says whose modules it may import too."""
+
+
+def subjects(file: Path) -> set[str]:
+    """The packages that a file of tests or a folder that it is in names as its subject."""
+    folders = [parent for parent in file.parents if ROOT in parent.parents]
+    files = [file, *(folder / "__init__.py" for folder in folders)]
+    return {name for f in files if f.exists() for name in SUBJECT.findall(f.read_text("utf-8"))}
+
+
+@pytest.mark.parametrize("file", TEST_FILES, ids=label)
+def test_tests_go_through_the_front_door(file: Path) -> None:
+    """What is neither public nor of the tests' own subject comes from `tests/host.py`."""
+    if file == ROOT / "tests" / "host.py":
+        return
+    own = tuple(subjects(file))
+    for name in imports(file):
+        top, _, rest = name.partition(".")
+        if not rest or top not in (*MAY_IMPORT, "benchmarks"):
+            continue
+        module = name if is_module(name) else name.rpartition(".")[0]
+        component = top == "stereogs_plugins" and module.count(".") <= 2
+        ours = any(f"{module}.".startswith(f"{subject}.") for subject in own)
+        assert module in TEST_FACES or component or ours, f"{label(file)} imports {name}"
+
+
+def test_no_tests_have_the_whole_host_as_their_subject() -> None:
+    all_subjects = {name for file in TEST_FILES for name in subjects(file)}
+    assert not all_subjects & {"registry", "stereogs", "stereogs_plugins"}
+
+
+def is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def plugin_of(file: Path) -> str:
@@ -110,12 +144,8 @@ def test_every_plugin_is_an_entry_point() -> None:
 
 
 def exported(module: str) -> set[str]:
-    """What a module offers in its `__all__`."""
-    tree = ast.parse((ROOT / FACES[module]).read_text("utf-8"))
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-            return set(ast.literal_eval(node.value))
-    raise AssertionError(f"{module} has no __all__")
+    """The public names of a module."""
+    return set(importlib.import_module(module).__all__)
 
 
 def test_each_package_can_be_imported_alone() -> None:

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from stereogs.cli import main
-from stereogs.command_line.installed import verbs
+from tests.host import main, verbs
 
 WIDTH = 80
 PIPELINE = """\
@@ -47,11 +46,10 @@ WRONG = (
     *(["ablate", "nowhere"], ["explain", "nowhere"], ["plugins", "dropuot"]),
     *(["eval"], ["export", "run"], ["train", "photos", "--qualty", "best"], ["plugins", "new"]),
     *(["train", "photos", "--seconds", "soon"], ["completion", "bsh"], ["train", "--quality=bset"]),
-    *(["export", "run", "--format", "gtlf"], ["export", "run", "--format", "spz"]),
-    *(["view", "run"], ["train", "tiny.yaml", "--view"]),
+    *(["export", "run", "--format", "gtlf"], ["view", "run"], ["train", "tiny.yaml", "--view"]),
     ["priors", "check", "nowhere.onnx"],
 )
-MISSING = ("viser", "gsply", "imageio")
+MISSING = ("viser", "imageio")
 """Packages of extras that this newcomer has not installed."""
 
 

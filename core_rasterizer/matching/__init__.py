@@ -5,33 +5,28 @@ from typing import TYPE_CHECKING
 from ..first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .feature_sweep import FeatureSweep
-    from .limits import MAX_PATCH_SOURCES, MAX_PENALTY, MAX_RADIUS, MAX_SWEEP_RADIUS
-    from .patch_match import PatchMatch
-    from .plane_sweep import ZnccSweep
-    from .rectified import census_costs, feature_costs, right_costs, zncc_costs
-    from .semi_global import CostVolume, Penalties, aggregate, pick
-    from .sweep_geometry import seen_by_any
-    from .view_selection import source_views
+    from .feature_sweep import FeatureSweep as FeatureSweep
+    from .limits import (
+        MAX_PATCH_SOURCES as MAX_PATCH_SOURCES,
+        MAX_PENALTY as MAX_PENALTY,
+        MAX_RADIUS as MAX_RADIUS,
+        MAX_SWEEP_RADIUS as MAX_SWEEP_RADIUS,
+    )
+    from .patch_match import PatchMatch as PatchMatch
+    from .plane_sweep import ZnccSweep as ZnccSweep
+    from .rectified import (
+        census_costs as census_costs,
+        feature_costs as feature_costs,
+        right_costs as right_costs,
+        zncc_costs as zncc_costs,
+    )
+    from .semi_global import (
+        CostVolume as CostVolume,
+        Penalties as Penalties,
+        aggregate as aggregate,
+        pick as pick,
+    )
+    from .sweep_geometry import seen_by_any as seen_by_any
+    from .view_selection import source_views as source_views
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "MAX_PATCH_SOURCES",
-    "MAX_PENALTY",
-    "MAX_RADIUS",
-    "MAX_SWEEP_RADIUS",
-    "CostVolume",
-    "FeatureSweep",
-    "PatchMatch",
-    "Penalties",
-    "ZnccSweep",
-    "aggregate",
-    "census_costs",
-    "feature_costs",
-    "pick",
-    "right_costs",
-    "seen_by_any",
-    "source_views",
-    "zncc_costs",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -3,7 +3,7 @@
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .engine import Engine, Model
-from .model import GaussianModel, ModelReader, OpenCLEngine
+from .model import GaussianModel, GaussianReader, OpenCLEngine
 from .photometric import photometric_loss
 from .topology import apply_edit
 
@@ -13,8 +13,8 @@ __all__ = [
     "Edit",
     "Engine",
     "GaussianModel",
+    "GaussianReader",
     "Model",
-    "ModelReader",
     "OpenCLEngine",
     "Relocation",
     "apply_edit",

@@ -112,13 +112,13 @@ class GaussianModel(GaussianStorage):
             digest.update(self.read(name).contiguous().numpy().tobytes())
         return digest.hexdigest()
 
-    def reader(self, attributes: Mapping[str, Tensor] | None = None) -> ModelReader:
+    def reader(self, attributes: Mapping[str, Tensor] | None = None) -> GaussianReader:
         """A read-only view of this model.
 
         Args:
             attributes: further numbers of each Gaussian, `[N]` by name, for files that can hold them.
         """
-        return ModelReader(self, attributes)
+        return GaussianReader(self, attributes)
 
     def render(
         self,
@@ -225,7 +225,7 @@ class OpenCLEngine:
         return apply_edit(model, optimizer, edit, generator)
 
 
-class ModelReader:
+class GaussianReader:
     """A read-only view of a model of any engine.
 
     It follows the model: each call returns the current state. Returned tensors are copies.

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 import pydantic
 from typing_extensions import TypeVar
 
+from .host_defaults import HostDefaults
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -30,6 +32,10 @@ class Settings(pydantic.BaseModel):
         use_attribute_docstrings=True,
         defer_build=True,  # unused models are not built
     )
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Present names by former names; pipelines with a former name open, with a warning."""
+    removed: ClassVar[Mapping[str, object]] = {}
+    """Settings that no longer exist, with the value that the code now has; pipelines with this value open."""
 
 
 # With a default (in `typing` from Python 3.13 on), `StereoPrior.choose(...)` has a full type.
@@ -81,11 +87,10 @@ class Component(Generic[SettingsType]):
 
     Settings: ClassVar[type[Settings]] = Settings
     ablation_baseline: ClassVar[str | None] = None
-    """Replacement when an ablation disables it, written as in a pipeline: "name" or "{use: name, ...}";
-    None: no replacement."""
-    host_defaults: ClassVar[str] = "{}"
-    """Defaults of settings that the host reads, for example the method's published schedule as shares of the
-    run, written as in a pipeline: "{start: 2%, stop: 50%, every: 100}". A pipeline may change each."""
+    """Name of the component of the same kind that replaces this one when an ablation disables it; None: none
+    does."""
+    host_defaults: ClassVar[HostDefaults] = HostDefaults()
+    """Defaults of settings that the host reads: `HostDefaults(start=Percent(2), every=100, weight=0.1)`."""
     needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
     """Capabilities of the priors that it uses; a nested tuple means any of these, the first preferred.
     Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""

@@ -19,12 +19,8 @@ from . import components as c
 from .component import Component
 from .prior import Prior
 
-API_VERSION = 3
-"""Version of the plugin API; increased when plugins for the previous version could break.
-
-Version 3 moved names from `registry` to `registry.priors`, `registry.events`, `registry.runners` and
-`registry.toolkit`. The host accepts plugins of version 2 as well.
-"""
+API_VERSION = 1
+"""Version of the plugin API; increased when plugins for the previous version could break."""
 
 PROJECT = "stereogs"
 hookimpl = pluggy.HookimplMarker(PROJECT)

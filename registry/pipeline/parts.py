@@ -74,6 +74,7 @@ class Parts:
     """The components of a pipeline; those of a section are constructed on its first use.
 
     Args:
+        pipeline, device: also attributes.
         constructed: parts of the same run; those with equal settings and seed are reused.
 
     Raises:
@@ -83,14 +84,14 @@ class Parts:
     def __init__(
         self, pipeline: Pipeline, device: Device | Engine, constructed: Iterable[Part] = ()
     ) -> None:
-        self._pipeline, self._device = pipeline, device
+        self.pipeline, self.device = pipeline, device
         self._constructed = {part.item.qualified_name: part for part in constructed}
         self._parts: dict[str, tuple[Part, ...]] = {}
 
     def following(self, pipeline: Pipeline) -> Parts:
         """Return the components of another pipeline of the same run; those that do not train are shared."""
         outside = (parts for name, parts in self._parts.items() if name not in TRAINING_SECTIONS)
-        return Parts(pipeline, self._device, [part for parts in outside for part in parts])
+        return Parts(pipeline, self.device, [part for parts in outside for part in parts])
 
     def for_field(self, index: int) -> Parts:
         """Return the components of the pipeline for another field of Gaussians.
@@ -101,11 +102,11 @@ class Parts:
         Args:
             index: number of the field. 0 gives a second set for the first field, with equal random numbers.
         """
-        seed, other = self._pipeline.training.seed, copy(self)
+        seed, other = self.pipeline.training.seed, copy(self)
         other._parts = {point.section: () for point in PIPELINE_POINTS if point.observes}
-        for section, items in self._pipeline.items.items():
+        for section, items in self.pipeline.items.items():
             if section in TRAINING_SECTIONS:
-                parts = [build_part(item, seed, self._device, field=index) for item in items]
+                parts = [build_part(item, seed, self.device, field=index) for item in items]
                 other._parts[section] = tuple(parts)
             else:
                 other._parts.setdefault(section, self[section])
@@ -113,11 +114,11 @@ class Parts:
 
     def __getitem__(self, section: str) -> tuple[Part, ...]:
         if section not in self._parts:
-            self._parts[section] = tuple(map(self._part, self._pipeline.items[section]))
+            self._parts[section] = tuple(map(self._part, self.pipeline.items[section]))
         return self._parts[section]
 
     def _part(self, item: Item) -> Part:
-        seed = self._pipeline.training.seed
+        seed = self.pipeline.training.seed
         known = self._constructed.get(item.qualified_name)
         if (
             known is not None
@@ -126,15 +127,15 @@ class Parts:
             and known.component.context.seed == derived_seed(seed, item.qualified_name)
         ):
             return replace(known, item=item)
-        return build_part(item, seed, self._device)
+        return build_part(item, seed, self.device)
 
     def __iter__(self) -> Iterator[Part]:
-        return (part for section in self._pipeline.items for part in self[section])
+        return (part for section in self.pipeline.items for part in self[section])
 
     @property
     def training(self) -> Iterator[Part]:
         """Those that are called within the training loop."""
-        return (p for name in self._pipeline.items if name in TRAINING_SECTIONS for p in self[name])
+        return (p for name in self.pipeline.items if name in TRAINING_SECTIONS for p in self[name])
 
     @property
     def shared(self) -> Iterator[Part]:

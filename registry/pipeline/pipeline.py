@@ -366,8 +366,9 @@ def component_item(
 
 def host_defaults(offer: Offer, iterations: int) -> dict[str, Node]:
     """Return a component's defaults of settings that the host reads, in iterations."""
-    written = parse(offer.component.host_defaults, f"host_defaults of {offer}", has_lines=False)
-    return in_iterations(expand(written), iterations)
+    place = Place(f"host_defaults of {offer}")
+    written = offer.component.host_defaults.written()
+    return in_iterations({name: Node(value, place) for name, value in written.items()}, iterations)
 
 
 def default_schedule(offer: Offer, iterations: int) -> Schedule:

@@ -6,11 +6,12 @@ import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import pydantic
 
 from ..contract.component import Settings
+from ..contract.host_defaults import LossStep
 from .yaml_source import Node
 
 _SHARE = re.compile(r"([0-9]+(?:\.[0-9]+)?)%")
@@ -82,7 +83,7 @@ class HostSettings(Schedule):
     """False disables the component, as if it were not written."""
     weight: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 1.0
     """Factor of a regularizer's term in the loss."""
-    step: Literal["together", "alone"] = "together"
+    step: LossStep = "together"
     """"together": the regularizer's term is added to the loss. "alone": it has its own backward pass and
     optimizer step, before the iteration's render, in the order of the pipeline."""
 

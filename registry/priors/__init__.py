@@ -15,25 +15,18 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ..contract.scene import DepthMap, Disparity, Flow, Matches
+    from ..contract.scene import (
+        DepthMap as DepthMap,
+        Disparity as Disparity,
+        Flow as Flow,
+        Matches as Matches,
+    )
     from .capabilities import (
-        MatchingPrior,
-        MonocularDepthPrior,
-        MultiViewDepthPrior,
-        OpticalFlowPrior,
-        StereoPrior,
+        MatchingPrior as MatchingPrior,
+        MonocularDepthPrior as MonocularDepthPrior,
+        MultiViewDepthPrior as MultiViewDepthPrior,
+        OpticalFlowPrior as OpticalFlowPrior,
+        StereoPrior as StereoPrior,
     )
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "DepthMap",
-    "Disparity",
-    "Flow",
-    "Matches",
-    "MatchingPrior",
-    "MonocularDepthPrior",
-    "MultiViewDepthPrior",
-    "OpticalFlowPrior",
-    "StereoPrior",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -25,6 +25,7 @@ from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import load_pipeline
 from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import parse
+from ..training.assembly import restore
 from ..training.checkpoint import (
     CHECKPOINT,
     Checkpoint,
@@ -33,7 +34,6 @@ from ..training.checkpoint import (
     write_checkpoint,
 )
 from ..training.initial_model import new_model
-from ..training.trainer import Trainer
 from .folder import RunFolder
 from .origin import compare_inputs, input_digests, with_packages
 from .run import SUMS, Run, Stages
@@ -203,10 +203,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    engine = run.model.engine
-    model = new_model(Gaussians(**newest.part("model")), run.pipeline.training, engine)
-    parts = Parts(run.pipeline, engine)
-    trainer = Trainer(run.pipeline.training, parts, run.scene, model, checkpoint=newest)
+    trainer = restore(Parts(run.pipeline, run.model.engine), run.scene, newest)
     try:
         for done in trainer.run():
             if done.number == last:

@@ -11,8 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Gaussians
-
 from ..contract.component import Component, Settings
 from ..discovery import Plugins
 from ..pipeline.parts import Parts
@@ -21,8 +19,8 @@ from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
 from ..runs.options import RunOptions
 from ..runs.training_run import resume, start
+from ..training.assembly import restore
 from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from ..training.initial_model import new_model
 from ..training.trainer import Trainer
 from .assertions import no_side_effects, require
 from .bench import Bench
@@ -112,10 +110,9 @@ def _trainer(
     ]
     training = _TRAINING.model_copy(update={"fields": component.needs_fields})
     parts = Parts(pipeline_of(items, training), bench.device)
-    if saved is None:
-        return Trainer(training, parts, bench.scene, bench.model(), bench.maps(), bench.kinds())
-    model = new_model(Gaussians(**saved.part("model")), training, bench.device)
-    return Trainer(training, parts, bench.scene, model, checkpoint=saved)
+    if saved is not None:
+        return restore(parts, bench.scene, saved)
+    return Trainer(training, parts, bench.scene, bench.model(), bench.maps(), bench.kinds())
 
 
 def _check_carry(component: Component[Any], count: int) -> None:

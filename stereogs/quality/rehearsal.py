@@ -7,7 +7,7 @@ priors and metrics are the run's own; their state is restored afterwards.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
@@ -19,9 +19,9 @@ from core_rasterizer import Gaussians, Model
 from registry import View
 from registry.pipeline.parts import Part, Parts
 from registry.runs.evaluation import evaluate, quick
-from registry.runs.options import InitialState
+from registry.runs.preparation import Prepared
 from registry.toolkit.progress import progress
-from registry.training.initial_model import new_model
+from registry.training.assembly import assemble
 from registry.training.trainer import Trainer
 
 Clock = Callable[[], float]
@@ -67,7 +67,7 @@ class Measured(NamedTuple):
         return sum(count * each for count, each in zip(shares, self.quarters, strict=True))
 
 
-def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) -> Measured:
+def rehearse(initial: Prepared, count: int, clock: Clock, seconds: float) -> Measured:
     """Measure a pipeline on its scene.
 
     Args:
@@ -77,19 +77,19 @@ def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) ->
     progress("timing")
     pipeline, scene = initial.pipeline, initial.scene
     points, repeated = initial.points, torch.arange(count) % len(initial.gaussians)
-    first = initial.gaussians
-    gaussians = Gaussians(**{f.name: getattr(first, f.name)[repeated] for f in fields(first)})
-    model = new_model(gaussians, pipeline.training, initial.device)
-    parts = initial.parts.for_field(0)
+    gaussians = Gaussians(**{k: v[repeated] for k, v in vars(initial.gaussians).items()})
     kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
+    parts = initial.parts.for_field(0)
     shared = SharedState(parts)
-    trainer = Trainer(pipeline.training, parts, scene, model, points.maps, kinds)
+    trainer = assemble(parts, scene, replace(points, kinds=kinds), gaussians)
     quarters: list[float] = []
     for moment in MOMENTS:
         skipped = WARM if quarters else WARM_UP
         trainer.iteration = max(0, int(moment * pipeline.training.iterations) - skipped)
         quarters.append(_measure(trainer, skipped, clock, seconds / len(MOMENTS)))
-    measured = Measured(tuple(quarters), _after(initial, model, parts, clock), len(gaussians))
+    measured = Measured(
+        tuple(quarters), _after(initial, trainer.model, parts, clock), len(gaussians)
+    )
     shared.restore()
     return measured
 
@@ -121,7 +121,7 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> fl
     return (clock() - begin) / max(done, 1)
 
 
-def _after(initial: InitialState, model: Model, parts: Parts, clock: Clock) -> float:
+def _after(initial: Prepared, model: Model, parts: Parts, clock: Clock) -> float:
     """Return the seconds after the last iteration, extrapolated from one view of each split."""
     train, test = initial.scene.train, initial.scene.test
     every, fast = parts["metrics"], quick(parts["metrics"])

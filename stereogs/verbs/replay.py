@@ -86,14 +86,12 @@ def repeat_failure(
     Raises:
         ExplainedError: the iteration fails again; or the place does not hold a failed iteration.
     """
-    from core_rasterizer import Gaussians
     from registry.pipeline.parts import Parts, load_scene
     from registry.pipeline.pipeline import load_pipeline
     from registry.runs.opening import FAILURES
     from registry.runs.origin import compare_inputs
+    from registry.training.assembly import restore
     from registry.training.checkpoint import explain_misfit, read_checkpoint
-    from registry.training.initial_model import new_model
-    from registry.training.trainer import Trainer
 
     place = place.parent if place.is_file() else place
     fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
@@ -115,7 +113,6 @@ def repeat_failure(
     scene = load_scene(parts.one("scene"))
     compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
     with explain_misfit(place):
-        model = new_model(Gaussians(**checkpoint.part("model")), pipeline.training, device)
-        trainer = Trainer(pipeline.training, parts, scene, model, checkpoint=checkpoint)
+        trainer = restore(parts, scene, checkpoint)
     next(done for done in trainer.run() if done.number == iteration)
     return Failure(iteration, str(notes.get("what")))

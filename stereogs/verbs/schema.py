@@ -20,7 +20,6 @@ from registry.discovery import Offer, Plugins
 from registry.pipeline.protocols import ProtocolChoice, protocol_names
 from registry.pipeline.schedule import HostSettings, Schedule
 from registry.pipeline.training_settings import PER_VIEW, TrainingSettings
-from registry.pipeline.yaml_source import parse
 
 from ..command_line.command import Command
 from ..command_line.output import console
@@ -127,7 +126,7 @@ def _settings(point: HookPoint, offer: Offer, key: str, definitions: dict[str, S
     others = {"type": "array", "items": {"$ref": f"#/$defs/{point.section}"}}
     described["fallbacks"] = {**others, "description": "Used if a file is missing; best first."}
     properties = {name: dict(described[name]) for name in point.host_settings}
-    for name, default in parse(offer.component.host_defaults, str(offer)).as_written().items():
+    for name, default in offer.component.host_defaults.written().items():
         properties[name]["default"] = default
     properties["use"].pop("type")
     for name in properties.keys() & Schedule.model_fields.keys():

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, PluginError, Register, Settings, Step, hookimpl
+from registry import (
+    Densification,
+    HostDefaults,
+    Percent,
+    PluginError,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -32,7 +41,7 @@ class CoPruning(Densification[CoPruningSettings]):
     """
 
     needs_fields = 2
-    host_defaults = "{start: 10%, every: 5%}"
+    host_defaults = HostDefaults(start=Percent(10), every=Percent(5))
 
     def refine(self, step: Step) -> Edit:
         """Return the pruning mask.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, Register, Settings, Step, hookimpl
+from registry import Densification, HostDefaults, Percent, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from core_rasterizer import Edit
@@ -28,7 +28,7 @@ class FaintGrowthSettings(Settings):
 class FaintGrowth(Densification[FaintGrowthSettings]):
     """Adds invisible copies of Gaussians, for another policy to use."""
 
-    host_defaults = "{start: 2%, stop: 83.3%, every: 100, phase: 0}"
+    host_defaults = HostDefaults(start=Percent(2), stop=Percent(83.3), every=100, phase=0)
 
     def refine(self, step: Step) -> Edit | None:
         """Return the additions; None if the share is less than one Gaussian."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, Register, Settings, Step, hookimpl
+from registry import Densification, HostDefaults, Percent, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from core_rasterizer import Edit
@@ -46,7 +46,7 @@ class GradientThresholdSettings(Settings):
 class GradientThreshold(Densification[GradientThresholdSettings]):
     """The rules of 3DGS for which Gaussians to clone, split and prune; the pipeline sets the schedule."""
 
-    host_defaults = "{start: 2%, stop: 49.9%, every: 100, phase: 0}"
+    host_defaults = HostDefaults(start=Percent(2), stop=Percent(49.9), every=100, phase=0)
 
     @property
     def absolute_gradients(self) -> bool:

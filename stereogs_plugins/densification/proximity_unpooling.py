@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, Register, Settings, Step, hookimpl
+from registry import Densification, HostDefaults, Percent, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -33,7 +33,7 @@ class ProximityUnpoolingSettings(Settings):
 class ProximityUnpooling(Densification[ProximityUnpoolingSettings]):
     """Inserts Gaussians halfway between large ones and their three nearest neighbours."""
 
-    host_defaults = "{start: 6%, stop: 19.9%, every: 1%, phase: 0}"
+    host_defaults = HostDefaults(start=Percent(6), stop=Percent(19.9), every=Percent(1), phase=0)
 
     def refine(self, step: Step) -> Edit | None:
         """Return the edit; None if no Gaussian is far and large. Logs the number of insertions."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, Register, Settings, Step, hookimpl
+from registry import Densification, HostDefaults, Percent, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from core_rasterizer import Edit
@@ -24,7 +24,7 @@ class RelocationSettings(Settings):
 class DeadRelocation(Densification[RelocationSettings]):
     """Makes each dead Gaussian a copy of a living one, drawn in proportion to its opacity."""
 
-    host_defaults = "{start: 2%, stop: 83.3%, every: 100, phase: 0}"
+    host_defaults = HostDefaults(start=Percent(2), stop=Percent(83.3), every=100, phase=0)
 
     def refine(self, step: Step) -> Edit | None:
         """Return the relocation; None if none or all are dead. Logs the number of moves."""

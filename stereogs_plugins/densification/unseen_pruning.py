@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Densification, PluginError, Register, Settings, Step, hookimpl
+from registry import (
+    Densification,
+    HostDefaults,
+    Percent,
+    PluginError,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,7 +36,7 @@ class UnseenPruningSettings(Settings):
 class UnseenPruning(Densification[UnseenPruningSettings]):
     """Prunes Gaussians that touch no training image, or whose centre is too close to a camera."""
 
-    host_defaults = "{every: 16.7%}"
+    host_defaults = HostDefaults(every=Percent(16.7))
 
     def refine(self, step: Step) -> Edit:
         """Return the pruning mask.

@@ -1,17 +1,19 @@
-"""`spz`: Niantic's compressed format, about 1/6 of the PLY's size, written by the package gsply."""
+"""`spz`: Niantic's compressed format, about a sixth of the PLY's size."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
-from registry.toolkit import optional_module
+from registry.toolkit import spz_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from core_rasterizer import GaussianReader, Gaussians
 
+_FRACTIONAL_BITS = 12
+"""The publisher's own choice, which some readers require."""
 _ODD_IN_Y_PLUS_Z = (1, 2, 4, 7, 9, 11, 12, 14)
 """Coefficients of spherical harmonics up to degree 3 whose sign changes if y and z are negated."""
 
@@ -24,24 +26,9 @@ class SpzExporter(Exporter[Settings]):
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write the file and return its path.
-
-        Raises:
-            PluginError: the package gsply is not installed.
-        """
-        gsply = optional_module("gsply", "pip install 'stereogs-plugins[spz]'", then="")
+        """Write the file and return its path."""
         path = folder / "scene.spz"
-        gaussians = half_turned(model.gaussians())
-        fields = (
-            gaussians.means,
-            gaussians.log_scales,
-            gaussians.quaternions,
-            gaussians.opacity_logits,
-            gaussians.sh[:, 0],
-            gaussians.sh[:, 1:],
-        )
-        gsply.write_spz(path, gsply.GSData(*(field.contiguous().numpy() for field in fields)))
-        _clear_time(path)
+        path.write_bytes(spz_bytes(half_turned(model.gaussians()), _FRACTIONAL_BITS))
         return [path]
 
 
@@ -64,13 +51,6 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
         opacity_logits=gaussians.opacity_logits,
         sh=gaussians.sh * signs,
     )
-
-
-def _clear_time(path: Path) -> None:
-    """Clear the timestamp in the header of a gzip file (RFC 1952): same scene, same bytes."""
-    with path.open("r+b") as file:
-        file.seek(4)
-        file.write(bytes(4))
 
 
 @hookimpl

@@ -7,7 +7,16 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
+from registry import (
+    HostDefaults,
+    OpacityPolicy,
+    OpacityUpdate,
+    Percent,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 
 class ConstantDecaySettings(Settings):
@@ -19,7 +28,7 @@ class ConstantDecay(OpacityPolicy[ConstantDecaySettings]):
     """alpha <- factor * alpha; the optimizer's moments are kept."""
 
     ablation_baseline = "opacity_reset"
-    host_defaults = "{start: 1.67%}"
+    host_defaults = HostDefaults(start=Percent(1.67))
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the decayed opacities."""

@@ -9,7 +9,16 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
+from registry import (
+    HostDefaults,
+    OpacityPolicy,
+    OpacityUpdate,
+    Percent,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 
 class ExpectedOpacitySettings(Settings):
@@ -20,7 +29,7 @@ class ExpectedOpacitySettings(Settings):
 class ExpectedOpacity(OpacityPolicy[ExpectedOpacitySettings]):
     """alpha <- (1 - p) alpha; the optimizer skips opacities in that iteration."""
 
-    host_defaults = "{start: 100%}"
+    host_defaults = HostDefaults(start=Percent(100))
 
     def update(self, step: Step) -> OpacityUpdate:
         """Return the scaled opacities."""

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Context, OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
+from registry import (
+    Context,
+    HostDefaults,
+    OpacityPolicy,
+    OpacityUpdate,
+    Percent,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +54,7 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
     """alpha <- gamma(gradient) * alpha; the optimizer's moments are kept."""
 
     ablation_baseline = "opacity_reset"
-    host_defaults = "{start: 3.337%}"
+    host_defaults = HostDefaults(start=Percent(3.337))
 
     def __init__(self, settings: GradientAwareDecaySettings, context: Context) -> None:
         super().__init__(settings, context)

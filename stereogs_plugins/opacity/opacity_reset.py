@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from registry import OpacityPolicy, OpacityUpdate, Register, Settings, Step, hookimpl
+from registry import (
+    HostDefaults,
+    OpacityPolicy,
+    OpacityUpdate,
+    Percent,
+    Register,
+    Settings,
+    Step,
+    hookimpl,
+)
 
 
 class OpacityResetSettings(Settings):
@@ -23,7 +32,7 @@ class OpacityResetSettings(Settings):
 class OpacityReset(OpacityPolicy[OpacityResetSettings]):
     """alpha <- min(alpha, ceiling); the optimizer's moments of the opacities are reset."""
 
-    host_defaults = "{stop: 49.9%, every: 10%}"
+    host_defaults = HostDefaults(stop=Percent(49.9), every=Percent(10))
 
     def update(self, step: Step) -> OpacityUpdate | None:
         """Return the lowered opacities, or None if the reset is skipped."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Perturbation, Register, Settings, Step, hookimpl
+from registry import HostDefaults, Perturbation, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +28,7 @@ class HeldColorsSettings(Settings):
 class HeldColors(Perturbation[HeldColorsSettings]):
     """sh <- sh of the first iteration in which this is due, for descendants of some kinds of points."""
 
-    host_defaults = "{every: 10}"
+    host_defaults = HostDefaults(every=10)
 
     _first: Tensor | None = None
     """`[N, K, 3]`, of all Gaussians."""

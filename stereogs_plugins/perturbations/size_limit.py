@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Perturbation, Register, Settings, Step, hookimpl
+from registry import HostDefaults, Perturbation, Register, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +28,7 @@ class SizeLimitSettings(Settings):
 class SizeLimit(Perturbation[SizeLimitSettings]):
     """scale <- min(scale, angle * distance to the nearest training camera), for each axis."""
 
-    host_defaults = "{every: 10}"
+    host_defaults = HostDefaults(every=10)
 
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
         """Return the offsets of the logarithms of the scales, `[N, 3]`, at most 0."""

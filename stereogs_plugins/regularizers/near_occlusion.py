@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Register, Regularizer, Settings, Step, hookimpl
+from registry import HostDefaults, Register, Regularizer, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -24,7 +24,7 @@ class NearOcclusionSettings(Settings):
 class NearOcclusion(Regularizer[NearOcclusionSettings]):
     """Mean alpha of the Gaussians with z < near + share (far - near), in the iteration's view."""
 
-    host_defaults = "{weight: 0.01}"
+    host_defaults = HostDefaults(weight=0.01)
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss; 0 if no Gaussian is in the range."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from registry import Register, Regularizer, Settings, Step, hookimpl
+from registry import HostDefaults, Register, Regularizer, Settings, Step, hookimpl
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -22,7 +22,7 @@ class ParameterL1Settings(Settings):
 class ParameterL1(Regularizer[ParameterL1Settings]):
     """mean alpha over the Gaussians, or mean sigma over the Gaussians and their three axes."""
 
-    host_defaults = "{weight: 0.01}"
+    host_defaults = HostDefaults(weight=0.01)
 
     def loss(self, step: Step) -> Tensor:
         """Return the mean, in autograd."""

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Context, PluginError, Register, Regularizer, Settings, Step, hookimpl
+from registry import (
+    Context,
+    HostDefaults,
+    PluginError,
+    Register,
+    Regularizer,
+    Settings,
+    Step,
+    hookimpl,
+)
 from registry.priors import MonocularDepthPrior
 from registry.toolkit.networks.image_fitting import at_size
 from registry.toolkit.views import SOLID, virtual_views
@@ -47,7 +56,7 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """
 
     needs_priors = ("monocular_depth",)
-    host_defaults = "{weight: 0.05}"
+    host_defaults = HostDefaults(weight=0.05)
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from registry import Register, Regularizer, Settings, Step, hookimpl
+from registry import HostDefaults, Percent, Register, Regularizer, Settings, Step, hookimpl
 from registry.toolkit.networks.image_fitting import at_size
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
     Pixels whose disparity would exceed the image width are ignored.
     """
 
-    host_defaults = "{start: 66.67%}"
+    host_defaults = HostDefaults(start=Percent(66.67))
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss for this iteration's view."""

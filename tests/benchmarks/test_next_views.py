@@ -101,6 +101,6 @@ def test_what_is_recorded_is_not_trained_again(
     file = tmp_path / "records.jsonl"
     line = {"scene": "line", "views": [0, 1, 2], "psnr": 12.5, "cpu_seconds": 1.0, "hash": "a"}
     file.write_text(json.dumps(line) + "\n")
-    monkeypatch.setattr(next_views, "RECORDS", file)
+    monkeypatch.setattr(next_views, "FILE", file)
     monkeypatch.delattr(next_views, "train")
     assert Bench().psnr(pool((0.0, 1.0, 2.0, 3.0)), (2, 0, 1)) == 12.5

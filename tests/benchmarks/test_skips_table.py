@@ -6,8 +6,7 @@ import pytest
 
 from benchmarks.skips import DEFAULT, SWITCHES, variant
 from benchmarks.skips_table import Measured, rows, summary, table
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import build_pipeline
+from tests.host import Plugins, build_pipeline
 
 
 def test_a_switch_is_compared_with_the_default_of_its_own_scene_and_seed() -> None:

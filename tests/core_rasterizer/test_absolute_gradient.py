@@ -8,7 +8,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians
 from core_rasterizer.layout import PARAMETERS
-from core_rasterizer.optimization import ModelReader
+from core_rasterizer.optimization import GaussianReader
 from tests.core_rasterizer.scenes import parameters, random_camera, with_centers
 
 CAMERA = random_camera(torch.Generator().manual_seed(8), 13, 9)
@@ -58,7 +58,7 @@ def test_results_without_it_are_bit_identical(device: Device) -> None:
     assert torch.equal(plain.statistics.sums(), asked.statistics.sums()[:2])
     assert plain.statistics.sums().shape == (2, COUNT)
     with pytest.raises(GaussianError, match="no render has collected"):
-        ModelReader(plain).absolute_screen_gradient()
+        GaussianReader(plain).absolute_screen_gradient()
     wanted = expected(parameters(COUNT), CAMERA)
     found = asked.statistics.absolute_screen_gradient().double()
     torch.testing.assert_close(found, wanted, rtol=0, atol=2e-5 * float(wanted.max()))
@@ -73,4 +73,4 @@ def test_it_is_restored_and_reset(device: Device) -> None:
     model.statistics.reset()
     assert not model.statistics.absolute_screen_gradient().any()
     differentiate(model)
-    assert torch.equal(ModelReader(model).absolute_screen_gradient(), first)
+    assert torch.equal(GaussianReader(model).absolute_screen_gradient(), first)

@@ -17,8 +17,8 @@ from core_rasterizer import (
     list_devices,
     open_device,
     reference,
+    self_test as self_test_module,
 )
-from core_rasterizer import self_test as self_test_module
 from core_rasterizer.device import Description, Trial, choose, trial
 from core_rasterizer.device.profile import FEW
 

@@ -11,8 +11,7 @@ import pytest
 import torch
 
 from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
-from core_rasterizer.device import DeviceArray
-from core_rasterizer.device import device as device_module
+from core_rasterizer.device import DeviceArray, device as device_module
 from tests.core_rasterizer.scenes import parameters
 
 

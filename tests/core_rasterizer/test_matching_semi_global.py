@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from core_rasterizer import Device, MemoryBudgetError, open_device
 from core_rasterizer.device import DeviceArray

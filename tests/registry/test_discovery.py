@@ -1,3 +1,5 @@
+"""Tests of `registry.discovery`, which import its modules."""
+
 from __future__ import annotations
 
 import sys
@@ -6,8 +8,8 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
 from registry.discovery import GROUP, SELECTION, Plugins
+from tests.host import PIPELINE_POINTS, HookPoint
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
@@ -128,6 +130,12 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: st
         (
             metric("x").replace("    def measure", "    Settings = dict\n    def measure"),
             "do not derive from registry.Settings",
+        ),
+        (
+            metric("x").replace(
+                "    def measure", "    host_defaults = '{every: 100}'\n    def measure"
+            ),
+            "are not a HostDefaults",
         ),
     ],
 )

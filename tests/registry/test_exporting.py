@@ -11,9 +11,8 @@ import torch
 
 import stereogs
 from registry import PluginError, RunError, Scene
-from registry.errors import PipelineError
 from registry.testing import tiny_scene
-from stereogs.cli import main
+from tests.host import PipelineError, main
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 ITERATIONS = 8

@@ -1,4 +1,7 @@
-"""Errors of faulty plugins name the plugin and do not affect others."""
+"""Errors of faulty plugins name the plugin and do not affect others.
+
+Tests of `registry.calls`, which import its modules.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,9 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.calls.memory import MemoryLedger
 from registry.calls.watchdog import WATCHDOG
-from registry.discovery import GROUP, Plugins
-from registry.pipeline import blame
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.runs.opening import open_run
-from registry.system.memory import resident_bytes
 from registry.toolkit.cache import FOLDER_VARIABLE
-from stereogs.verbs.replay import repeat_failure
+from stereogs import Pipeline
+from tests.host import GROUP, Plugins, open_run, parse_pipeline, repeat_failure, resident_bytes
 from tests.registry.conftest import TOYS
 from tests.registry.faulty import NAMES, installed, module
 
@@ -225,7 +224,9 @@ def test_growing_memory_is_refused_before_memory_runs_out(
 ) -> None:
     pipeline, out = make(component("grows_memory")), tmp_path / "run"
     stereogs.train(make(""), progress=False, device=device)  # initial allocations do not count
-    monkeypatch.setattr(blame, "LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
+    monkeypatch.setattr(
+        "registry.pipeline.blame.LEDGER", MemoryLedger(limit=resident_bytes() + 8e7)
+    )
     error = refusal(pipeline, out, device)
     assert "memory runs out" in error.what
     blamed(error, "grows_memory", iteration=None)

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer.device import program
-from tests.runtimes import __main__ as command
-from tests.runtimes import fetching, race_scenes, races
+from tests.runtimes import __main__ as command, fetching, race_scenes, races
 from tests.runtimes.catalog import Runtime
 from tests.runtimes.fetching import Unavailable, unpacked
 

@@ -5,14 +5,9 @@ from __future__ import annotations
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
-from core_rasterizer.device import Variant
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
-from registry.training.initial_model import initial_gaussians
-from registry.training.trainer import Trainer
 from tests.core_rasterizer.traffic import Traffic, counted
+from tests.host import Parts, Plugins, Trainer, Variant, initial_gaussians, parse_pipeline
 
 PIPELINE = """\
 name: t

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stereogs import api
 
-STEREOGS_API = 3
+STEREOGS_API = 1
 """Version of the plugin API that this module was written for."""
 
 

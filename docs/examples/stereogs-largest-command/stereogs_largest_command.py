@@ -6,7 +6,7 @@ from stereogs import api
 from stereogs.command_line.arguments import add_run, open_given
 from stereogs.command_line.output import console
 
-STEREOGS_API = 3
+STEREOGS_API = 1
 """The version of the plugin API that this module was written for."""
 
 

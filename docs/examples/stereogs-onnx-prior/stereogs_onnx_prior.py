@@ -15,7 +15,7 @@ from registry.toolkit.networks.image_fitting import full_size_maps, in_range, pa
 from stereogs import api
 from stereogs.api import MonocularDepthPrior
 
-STEREOGS_API = 3
+STEREOGS_API = 1
 """Version of the plugin API that this module was written for."""
 
 

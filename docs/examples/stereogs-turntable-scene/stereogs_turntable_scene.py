@@ -17,13 +17,13 @@ import pydantic
 from registry.toolkit import photos
 from stereogs import api
 
-STEREOGS_API = 3
+STEREOGS_API = 1
 """Version of the plugin API that this module was written for."""
 
 
 class Shot(pydantic.BaseModel):
     file: str
-    camera_to_world: photos.Matrix4x4
+    camera_to_world: photos.PoseMatrix
 
 
 class Turntable(pydantic.BaseModel):

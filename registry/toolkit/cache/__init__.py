@@ -13,14 +13,17 @@ An entry is a folder that is either complete or absent. All kinds share one fold
 least recently used entries are removed first. It is safe to delete any of them.
 """
 
-from .entries import FOLDER_VARIABLE, Cache
-from .keys import code_digest, content_key, package_digest, source_digest
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "FOLDER_VARIABLE",
-    "Cache",
-    "code_digest",
-    "content_key",
-    "package_digest",
-    "source_digest",
-]
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .entries import FOLDER_VARIABLE as FOLDER_VARIABLE, Cache as Cache
+    from .keys import (
+        code_digest as code_digest,
+        content_key as content_key,
+        package_digest as package_digest,
+        source_digest as source_digest,
+    )
+else:
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -12,52 +12,39 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .camera_path import Vector, smooth_path, upright_rotation, upwards
-    from .confidence_picture import CONFIDENCE, GUESSED, hatched, read_confidence, with_scale
-    from .pictures import (
-        COMPARISONS,
-        RAMP,
-        ViewPictures,
-        depth_ends,
-        depth_picture,
-        grey,
-        nearness_picture,
-        ramp_picture,
-        save_png,
-        save_view_pictures,
-        side_by_side,
-        to_bytes,
+    from .camera_path import (
+        Vector as Vector,
+        smooth_path as smooth_path,
+        upright_rotation as upright_rotation,
+        upwards as upwards,
     )
-    from .settings import ImageMetricSettings, LoggerSettings, row_bands, white_outside
-    from .video import write_video
+    from .confidence_picture import (
+        CONFIDENCE as CONFIDENCE,
+        GUESSED as GUESSED,
+        hatched as hatched,
+        read_confidence as read_confidence,
+        with_scale as with_scale,
+    )
+    from .pictures import (
+        COMPARISONS as COMPARISONS,
+        RAMP as RAMP,
+        ViewPictures as ViewPictures,
+        depth_ends as depth_ends,
+        depth_picture as depth_picture,
+        grey as grey,
+        nearness_picture as nearness_picture,
+        ramp_picture as ramp_picture,
+        save_png as save_png,
+        save_view_pictures as save_view_pictures,
+        side_by_side as side_by_side,
+        to_bytes as to_bytes,
+    )
+    from .settings import (
+        ImageMetricSettings as ImageMetricSettings,
+        LoggerSettings as LoggerSettings,
+        row_bands as row_bands,
+        white_outside as white_outside,
+    )
+    from .video import write_video as write_video
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "COMPARISONS",
-    "CONFIDENCE",
-    "GUESSED",
-    "RAMP",
-    "ImageMetricSettings",
-    "LoggerSettings",
-    "Vector",
-    "ViewPictures",
-    "depth_ends",
-    "depth_picture",
-    "grey",
-    "hatched",
-    "nearness_picture",
-    "ramp_picture",
-    "read_confidence",
-    "row_bands",
-    "save_png",
-    "save_view_pictures",
-    "side_by_side",
-    "smooth_path",
-    "to_bytes",
-    "upright_rotation",
-    "upwards",
-    "white_outside",
-    "with_scale",
-    "write_video",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -16,23 +16,18 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .feature_networks import KeypointNetworks, Keypoints, LearnedFeatures
-    from .model_file import Sha256, read_model_file
-    from .onnx_model import OnnxModel, OnnxModelSettings, OnnxTensor, answers_within
-    from .onnx_session import OnnxProvider, first_line
+    from .feature_networks import (
+        KeypointNetworks as KeypointNetworks,
+        Keypoints as Keypoints,
+        LearnedFeatures as LearnedFeatures,
+    )
+    from .model_file import Sha256 as Sha256, read_model_file as read_model_file
+    from .onnx_model import (
+        OnnxModel as OnnxModel,
+        OnnxModelSettings as OnnxModelSettings,
+        OnnxTensor as OnnxTensor,
+        answers_within as answers_within,
+    )
+    from .onnx_session import OnnxProvider as OnnxProvider, first_line as first_line
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "KeypointNetworks",
-    "Keypoints",
-    "LearnedFeatures",
-    "OnnxModel",
-    "OnnxModelSettings",
-    "OnnxProvider",
-    "OnnxTensor",
-    "Sha256",
-    "answers_within",
-    "first_line",
-    "read_model_file",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

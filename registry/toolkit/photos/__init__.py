@@ -18,99 +18,69 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ..progress.parallel import in_parallel
-    from .bounds import Bounds, estimate_bounds
-    from .colmap_files import ColmapImage, has_colmap_model
-    from .colmap_model import POINTS_FIX, ColmapModel, Tracks, read_colmap_model
-    from .decoder import (
-        BACKGROUNDS,
-        HEIF_SUFFIXES,
-        Decoder,
-        Pixels,
-        ResizeFilter,
-        Size,
-        at_most,
-        dark_background,
-        divided_by,
-        longest_side,
-        open_8_bit,
-        open_image,
-        read_heif,
-        read_mask,
-        stored_size,
-        upright_size,
+    from ..progress.parallel import in_parallel as in_parallel
+    from .bounds import Bounds as Bounds, estimate_bounds as estimate_bounds
+    from .colmap_files import (
+        ColmapImage as ColmapImage,
+        colmap_models as colmap_models,
+        count_images as count_images,
+        has_colmap_model as has_colmap_model,
     )
-    from .lens import Distortion, Lens, import_pycolmap, pose_from_axes, pose_from_opengl, undistort
-    from .loaded_photos import LoadedPhotos, PosedPhoto
+    from .colmap_model import (
+        POINTS_FIX as POINTS_FIX,
+        ColmapModel as ColmapModel,
+        Tracks as Tracks,
+        read_colmap_model as read_colmap_model,
+    )
+    from .decoder import (
+        BACKGROUNDS as BACKGROUNDS,
+        HEIF_SUFFIXES as HEIF_SUFFIXES,
+        Decoder as Decoder,
+        Pixels as Pixels,
+        ResizeFilter as ResizeFilter,
+        Size as Size,
+        at_most as at_most,
+        dark_background as dark_background,
+        divided_by as divided_by,
+        longest_side as longest_side,
+        open_8_bit as open_8_bit,
+        open_image as open_image,
+        read_heif as read_heif,
+        read_mask as read_mask,
+        stored_size as stored_size,
+        upright_size as upright_size,
+    )
+    from .lens import (
+        Distortion as Distortion,
+        Lens as Lens,
+        import_pycolmap as import_pycolmap,
+        pose_from_axes as pose_from_axes,
+        pose_from_opengl as pose_from_opengl,
+        undistort as undistort,
+    )
+    from .loaded_photos import (
+        LoadedPhotos as LoadedPhotos,
+        PosedPhoto as PosedPhoto,
+        usable_photos as usable_photos,
+    )
     from .reading import (
-        IMAGE_SUFFIXES,
-        Finite,
-        Matrix4x4,
-        MatrixRow,
-        decoding,
-        find_image,
-        inside,
-        list_images,
-        read_array,
-        read_arrays,
-        read_document,
-        view_names,
+        IMAGE_SUFFIXES as IMAGE_SUFFIXES,
+        Finite as Finite,
+        MatrixRow as MatrixRow,
+        PoseMatrix as PoseMatrix,
+        decoding as decoding,
+        find_image as find_image,
+        inside as inside,
+        list_images as list_images,
+        read_array as read_array,
+        read_arrays as read_arrays,
+        read_document as read_document,
+        view_names as view_names,
     )
     from .source_settings import (
-        ImageSourceSettings,
-        SplitSettings,
-        evenly_spaced,
+        ImageSourceSettings as ImageSourceSettings,
+        SplitSettings as SplitSettings,
+        evenly_spaced as evenly_spaced,
     )
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "BACKGROUNDS",
-    "HEIF_SUFFIXES",
-    "IMAGE_SUFFIXES",
-    "POINTS_FIX",
-    "Bounds",
-    "ColmapImage",
-    "ColmapModel",
-    "Decoder",
-    "Distortion",
-    "Finite",
-    "ImageSourceSettings",
-    "Lens",
-    "LoadedPhotos",
-    "Matrix4x4",
-    "MatrixRow",
-    "Pixels",
-    "PosedPhoto",
-    "ResizeFilter",
-    "Size",
-    "SplitSettings",
-    "Tracks",
-    "at_most",
-    "dark_background",
-    "decoding",
-    "divided_by",
-    "estimate_bounds",
-    "evenly_spaced",
-    "find_image",
-    "has_colmap_model",
-    "import_pycolmap",
-    "in_parallel",
-    "inside",
-    "list_images",
-    "longest_side",
-    "open_8_bit",
-    "open_image",
-    "pose_from_axes",
-    "pose_from_opengl",
-    "read_array",
-    "read_arrays",
-    "read_colmap_model",
-    "read_document",
-    "read_heif",
-    "read_mask",
-    "stored_size",
-    "undistort",
-    "upright_size",
-    "view_names",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .display import showing
-    from .stages import progress, tracked
+    from .display import showing as showing
+    from .stages import progress as progress, tracked as tracked
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = ["progress", "showing", "tracked"]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -13,38 +13,31 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ...contract.scene import SOLID
-    from .confident_gaussians import confidence_of_gaussians
-    from .correspondences import epipolar_distances, flow_cycle_error, flow_in_size
-    from .painted import Painted, gathered, same_model
-    from .predicted_error import RIGHT, decibels, predicted_psnr
-    from .scene_facts import image_sizes, points_in_view, summary, warnings
-    from .view_parameters import ViewParameters
-    from .viewing_angles import ViewAngles, subject_of, view_angles
-    from .where_to_stand import Photographs, words_between
+    from ...contract.scene import SOLID as SOLID
+    from .confident_gaussians import confidence_of_gaussians as confidence_of_gaussians
+    from .correspondences import (
+        epipolar_distances as epipolar_distances,
+        flow_cycle_error as flow_cycle_error,
+        flow_in_size as flow_in_size,
+    )
+    from .painted import Painted as Painted, gathered as gathered, same_model as same_model
+    from .predicted_error import (
+        RIGHT as RIGHT,
+        decibels as decibels,
+        predicted_psnr as predicted_psnr,
+    )
+    from .scene_facts import (
+        image_sizes as image_sizes,
+        points_in_view as points_in_view,
+        summary as summary,
+        warnings as warnings,
+    )
+    from .view_parameters import ViewParameters as ViewParameters
+    from .viewing_angles import (
+        ViewAngles as ViewAngles,
+        subject_of as subject_of,
+        view_angles as view_angles,
+    )
+    from .where_to_stand import Photographs as Photographs, words_between as words_between
 else:
-    __getattr__, __dir__ = names_on_first_use(__name__)
-
-__all__ = [
-    "RIGHT",
-    "SOLID",
-    "Painted",
-    "Photographs",
-    "ViewAngles",
-    "ViewParameters",
-    "confidence_of_gaussians",
-    "decibels",
-    "epipolar_distances",
-    "flow_cycle_error",
-    "flow_in_size",
-    "gathered",
-    "image_sizes",
-    "points_in_view",
-    "predicted_psnr",
-    "same_model",
-    "subject_of",
-    "summary",
-    "view_angles",
-    "warnings",
-    "words_between",
-]
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

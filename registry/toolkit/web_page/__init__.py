@@ -9,47 +9,30 @@ A page loads no other file, so it can be sent by e-mail. Functions return HTML a
 except page contents, figures and images that other functions returned.
 """
 
-from .document import (
-    Cell,
-    choice,
-    color_scale,
-    facts_table,
-    figure,
-    folded,
-    grid,
-    headings,
-    image,
-    note,
-    page,
-    pinned,
-    score_table,
-    section,
-    subsection,
-    verbatim,
-    wipe,
-)
-from .line_plot import Axis, Line, Point, line_plot
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Axis",
-    "Cell",
-    "Line",
-    "Point",
-    "choice",
-    "color_scale",
-    "facts_table",
-    "figure",
-    "folded",
-    "grid",
-    "headings",
-    "image",
-    "line_plot",
-    "note",
-    "page",
-    "pinned",
-    "score_table",
-    "section",
-    "subsection",
-    "verbatim",
-    "wipe",
-]
+from core_rasterizer.first_use import names_on_first_use
+
+if TYPE_CHECKING:
+    from .document import (
+        Cell as Cell,
+        choice as choice,
+        color_scale as color_scale,
+        facts_table as facts_table,
+        figure as figure,
+        folded as folded,
+        grid as grid,
+        headings as headings,
+        image as image,
+        note as note,
+        page as page,
+        pinned as pinned,
+        score_table as score_table,
+        section as section,
+        subsection as subsection,
+        verbatim as verbatim,
+        wipe as wipe,
+    )
+    from .svg_plot import Axis as Axis, Line as Line, Point as Point, line_plot as line_plot
+else:
+    __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -15,9 +15,8 @@ from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.messages.suggestions import did_you_mean, listing
 from registry.pipeline.edits import SECTIONS, component_items, item_names
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.pipeline import build_pipeline as checked_pipeline
-from registry.pipeline.yaml_source import Node, Place, parse
+from registry.pipeline.pipeline import Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.yaml_source import Node, Place
 
 from .description import Description, Toggle
 from .plan import SEED, Combination, Plan, changed_pipeline, with_runs
@@ -164,12 +163,12 @@ def _switched_off(toggle: Toggle, target: str, base: Pipeline) -> Change:
     if toggle.off is not None:
         return Change(target, toggle.off)
     item = next((i for i in base if target in (i.qualified_name, i.point.section)), None)
-    if item is not None and item.offer.component.ablation_baseline is not None:
-        place = Place(f"{toggle.place} (the baseline of {target})")
-        baseline = parse(item.offer.component.ablation_baseline, str(place), has_lines=False)
+    baseline = item.offer.component.ablation_baseline if item else None
+    if item is not None and baseline is not None:
         others = [other.name for other in base.items[item.point.section] if other is not item]
-        if item_names(baseline)[0] not in others:
-            return Change(target, baseline)
+        if baseline not in others:
+            place = Place(f"{toggle.place} (the baseline of {target})")
+            return Change(target, Node(baseline, place))
     if SECTIONS[target.partition(".")[0]].required:
         raise PipelineError(
             f"the {target} is required and has no baseline to replace it when off",

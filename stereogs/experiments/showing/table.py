@@ -14,7 +14,7 @@ from registry.messages.terminal import PlainConsole
 from registry.toolkit.web_page import Cell
 
 from ..planning.plan import Combination, Plan
-from ..running.folder import AblationFolder
+from ..running.folder import ExperimentFolder
 from . import scores
 from .scores import CONFIDENCE, COUNTS, ENOUGH_PAIRS, NONE, Column, Results, difference
 
@@ -191,7 +191,7 @@ def _no_effect(plan: Plan, group: list[Combination], where: str) -> str:
     return f"no effect{where}, bitwise equal Gaussians: {descriptions}"
 
 
-def as_csv(plan: Plan, results: Results, folder: AblationFolder) -> str:
+def as_csv(plan: Plan, results: Results, folder: ExperimentFolder) -> str:
     """Return CSV with a row per run; toggles are 1 and 0, missing values are empty."""
     columns = scores.columns(plan, results)
     chosen = [*plan.toggles, *(variation.name for variation in plan.variations)]

@@ -62,8 +62,8 @@ def _help_lines(offer: Offer) -> Iterator[str]:
     yield f"settings, in the pipeline's section `{offer.point.section}`:"
     yield from list(_settings(offer.settings_type)) or ["  none of its own"]
     yield f"settings that the host reads: {', '.join(offer.point.host_settings)}"
-    if (defaults := offer.component.host_defaults) != "{}":
-        yield f"their defaults: {defaults.strip('{}')}"
+    if defaults := str(offer.component.host_defaults):
+        yield f"their defaults: {defaults}"
 
 
 def _settings(settings: type[BaseModel], within: str = "") -> Iterator[str]:

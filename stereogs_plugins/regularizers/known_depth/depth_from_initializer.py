@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry import PluginError, Regularizer, Settings, Step
+from registry import HostDefaults, PluginError, Regularizer, Settings, Step
 from registry.toolkit.networks.image_fitting import at_size
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class DepthFromInitializer(Regularizer[Settings]):
     """mean |D - z| / z over the pixels with a known depth z; D is depth as blended, as in the paper."""
 
-    host_defaults = "{weight: 0.1}"
+    host_defaults = HostDefaults(weight=0.1)
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss for the iteration's view; 0 if its depth is unknown.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Context, Regularizer, Settings, Step
+from registry import Context, HostDefaults, Regularizer, Settings, Step
 
 from .estimate import Farness
 
@@ -45,7 +45,7 @@ class DepthRanking(Regularizer[DepthRankingSettings]):
     """
 
     needs_priors = (("monocular_depth", "multi_view_depth"),)
-    host_defaults = "{weight: 0.5}"
+    host_defaults = HostDefaults(weight=0.5)
 
     def __init__(self, settings: DepthRankingSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Regularizer, Settings, Step
+from registry import HostDefaults, Percent, Regularizer, Settings, Step
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +40,7 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
     Gradients flow through the virtual view's colours and depth; the training views' depths only filter.
     """
 
-    host_defaults = "{start: 83.34%}"
+    host_defaults = HostDefaults(start=Percent(83.34))
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera; 0 if no pixel is consistent."""

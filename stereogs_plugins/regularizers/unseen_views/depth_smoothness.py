@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import Regularizer, Settings, Step
+from registry import HostDefaults, Regularizer, Settings, Step
 from registry.toolkit.views import virtual_views
 from registry.toolkit.views.virtual_views import VirtualViewKind
 
@@ -33,7 +33,7 @@ class DepthSmoothnessSettings(Settings):
 class DepthSmoothness(Regularizer[DepthSmoothnessSettings]):
     """mean (D[i, j] - D[i, j+1])^2 + (D[i, j] - D[i+1, j])^2, D as blended over sqrt(near far)."""
 
-    host_defaults = "{weight: 0.1}"
+    host_defaults = HostDefaults(weight=0.1)
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera."""

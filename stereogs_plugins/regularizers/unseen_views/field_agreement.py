@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import PluginError, Regularizer, Settings, Step
+from registry import HostDefaults, Percent, PluginError, Regularizer, Settings, Step
 from registry.toolkit.views import virtual_views
 from registry.toolkit.views.virtual_views import VirtualViewKind
 
@@ -33,7 +33,7 @@ class FieldAgreement(Regularizer[FieldAgreementSettings]):
     """
 
     needs_fields = 2
-    host_defaults = "{start: 5%}"
+    host_defaults = HostDefaults(start=Percent(5))
 
     def loss(self, step: Step) -> Tensor:
         """Return the sum over the other fields (`training.fields`).

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import PluginError, Regularizer, Settings, Step
+from registry import HostDefaults, PluginError, Regularizer, Settings, Step
 from registry.toolkit.views import virtual_views
 from registry.toolkit.views.virtual_views import VirtualViewKind
 
@@ -39,7 +39,7 @@ class ForwardWarping(Regularizer[ForwardWarpingSettings]):
     Holes are white in both.
     """
 
-    host_defaults = "{every: 3}"
+    host_defaults = HostDefaults(every=3)
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss at a random camera; 0 if no warped pixel is in its view.

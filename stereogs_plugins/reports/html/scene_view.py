@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from registry.toolkit import web_page, write_text
+from registry.toolkit import spz_bytes, web_page, write_text
 from registry.toolkit.drawing import upwards
 
 from .reach import reaches
-from .spz import spz
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -119,7 +118,7 @@ def pack(
         "Take next": best,
     }
     aspect = cameras[0].width, cameras[0].height
-    return PackedScene(spz(_framed(gaussians, center, factor)), setup, names, aspect)
+    return PackedScene(spz_bytes(_framed(gaussians, center, factor)), setup, names, aspect)
 
 
 def view_inside(packed: PackedScene) -> SceneView:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from registry import SceneError
 from registry.toolkit.views import words_between
 
-from .learned_matches import FOLDER_VARIABLE, known_files
+from .photogrammetry.learned_matches import FOLDER_VARIABLE, known_files
+from .photogrammetry.thresholds import ENOUGH_MATCHES, FEW_FEATURES, MANY_MATCHES, MIN_PHOTOS
 from .picture_files import listed, reason_lines
-from .unposed_photos import MIN_PHOTOS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -18,15 +18,9 @@ if TYPE_CHECKING:
     from registry.toolkit.photos import ColmapModel
 
     from .found_cameras import FoundCameras
-    from .no_depth import Doubt
-    from .structure_from_motion import Reconstruction
+    from .photogrammetry.structure_from_motion import Reconstruction
+    from .photogrammetry.two_view import Doubt
 
-FEW_FEATURES = 100
-"""A photograph with fewer features is blurred, dark, or of a plain surface."""
-ENOUGH_MATCHES = 30
-"""Matches that COLMAP needs to add a photograph (`abs_pose_min_num_inliers`)."""
-MANY_MATCHES = 200
-"""Photographs with this many matches overlap; if they do not connect, there is another reason."""
 _DOUBTS: dict[Doubt, str] = {
     "position": "they were taken from one position, so they contain no depth",
     "surface": "they show one flat surface, which does not determine the cameras",

@@ -4,9 +4,9 @@ import pytest
 
 from core_rasterizer import CameraError
 from registry import PluginError, SceneError
-from registry.discovery import Plugins
 from registry.pipeline.blame import blame
 from registry.pipeline.pipeline import Item, parse_pipeline
+from tests.host import Plugins
 
 PIPELINE = "name: a\nscene: toy_scene\ninitializer: toy_points\nmetrics:\n  - psnr\n"
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from registry.contract.component import Component
-from registry.discovery import Plugins
-from registry.errors import PipelineError
+from registry import Component, HostDefaults, Percent
 from registry.pipeline.pipeline import Item, parse_pipeline
+from tests.host import PipelineError, Plugins
 from tests.registry.toy_plugin import ToyGrowth, ToyTerm
 
 TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
@@ -17,9 +16,9 @@ TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"
 
 @pytest.fixture(autouse=True)
 def _defaults(monkeypatch: pytest.MonkeyPatch) -> None:
-    growth = "{start: 2%, stop: 50%, every: 100, phase: 0}"
+    growth = HostDefaults(start=Percent(2), stop=Percent(50), every=100, phase=0)
     monkeypatch.setattr(ToyGrowth, "host_defaults", growth)
-    monkeypatch.setattr(ToyTerm, "host_defaults", "{weight: 0.1}")
+    monkeypatch.setattr(ToyTerm, "host_defaults", HostDefaults(weight=0.1))
 
 
 def growth(toys: Plugins, written: str, iterations: int = 3000) -> Item:
@@ -74,7 +73,8 @@ def test_the_weight_is_one_of_them(toys: Plugins) -> None:
 def test_a_wrong_default_is_the_plugins_mistake(
     toys: Plugins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ToyGrowth, "host_defaults", "{every: often}")
+    wrong: Any = "often"
+    monkeypatch.setattr(ToyGrowth, "host_defaults", HostDefaults(every=wrong))
     with pytest.raises(PipelineError, match="whole number, not 'often'") as caught:
         growth(toys, "toy_growth")
     assert "host_defaults of densification 'toy_growth'" in caught.value.where

@@ -9,8 +9,7 @@ import time
 import pytest
 
 from core_rasterizer import Device
-from registry import Metric, PluginError, Settings
-from registry.contract.component import Context
+from registry import Context, Metric, PluginError, Settings
 from registry.pipeline.repeats import answer_of
 
 

@@ -11,16 +11,19 @@ import pytest
 
 from core_rasterizer import Device, ExplainedError
 from registry import RunError
-from registry.discovery import GROUP, Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
-from registry.toolkit.cache import keys
-from stereogs.experiments.comparing.comparability import comparable_groups
-from stereogs.experiments.comparing.comparison import read_run
-from stereogs.experiments.comparing.labels import labels
+from tests.host import (
+    GROUP,
+    Plugins,
+    comparable_groups,
+    labels,
+    module_digest,
+    parse_pipeline,
+    read_run,
+)
 from tests.registry.conftest import TOYS
 
 TEXT = """\
@@ -70,7 +73,7 @@ class Acme:
         (site / "acme.py").write_text(MODULE.replace("FACTOR", str(factor)))
         self._monkeypatch.syspath_prepend(site)
         self._monkeypatch.delitem(sys.modules, "acme", raising=False)
-        keys.module_digest.cache_clear()
+        module_digest.cache_clear()
         (package,) = distributions(path=[str(site)])
         return Plugins([*TOYS, *package.entry_points])
 

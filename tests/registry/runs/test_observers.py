@@ -10,16 +10,13 @@ import pytest
 import registry as r
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
-from registry.contract.hook_points import HOOK_POINTS
-from registry.discovery import Offer, Plugins
 from registry.events import IterationDone, ViewsScored
-from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.yaml_source import Place
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
+from stereogs import Pipeline
+from tests.host import HOOK_POINTS, HostSettings, Item, Offer, Place, Plugins, parse_pipeline
 from tests.registry.conftest import TOYS
 from tests.registry.toy_plugin import ToyDiary
 

@@ -14,16 +14,13 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError, SceneError, Unavailable
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.results import score_of
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from stereogs.command_line.output import FAILED, conclude
+from tests.host import FAILED, Plugins, conclude, parse_pipeline, read_checkpoint, write_checkpoint
 from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
 
 TEXT = """\

@@ -17,15 +17,13 @@ from torch import Tensor
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Scene
-from registry.discovery import Plugins
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
 from registry.runs.progress import MetricsLog
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from registry.training.trainer import Trainer
+from tests.host import Plugins, Trainer, read_checkpoint, write_checkpoint
 from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyScene
 

@@ -13,8 +13,6 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, SceneError
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.runs.folder import METRICS, RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
@@ -22,7 +20,8 @@ from registry.runs.origin import checkout
 from registry.runs.results import RENDERS
 from registry.runs.run import Run
 from registry.runs.training_run import start
-from registry.training.trainer import Iteration
+from stereogs import Iteration
+from tests.host import Plugins, load_pipeline, parse_pipeline
 from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 

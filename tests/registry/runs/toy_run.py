@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 
 from core_rasterizer import Device
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.runs.folder import RunFolder
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
+from stereogs import Pipeline
+from tests.host import Plugins, parse_pipeline
 
 TEXT = """\
 name: toy

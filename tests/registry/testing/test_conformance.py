@@ -24,8 +24,7 @@ from core_rasterizer import ExplainedError
 from registry.events import IterationDone, RunEnded, RunStarted
 from registry.priors import StereoPrior
 from registry.testing import check
-from tests.registry import toy_extension_points as extension_points
-from tests.registry import toy_plugin as toys
+from tests.registry import toy_extension_points as extension_points, toy_plugin as toys
 from tests.registry.conftest import Install
 
 

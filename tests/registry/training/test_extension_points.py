@@ -8,15 +8,12 @@ import pytest
 import torch
 
 from core_rasterizer import Device, ExplainedError
-from core_rasterizer.layout import PARAMETERS
 from registry import PluginError, Step
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
+from registry.training.assembly import assemble, restore
 from registry.training.checkpoint import Checkpoint
-from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Iteration, Trainer
+from tests.host import PARAMETERS, Parts, Plugins, parse_pipeline
 from tests.registry.toy_extension_points import ToyTwin
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_guided\n"
@@ -32,8 +29,7 @@ def make(extension_points: Plugins, device: Device) -> Make:
         )
         parts, scene = Parts(pipeline, device), tiny_scene()
         points = parts.one("initializer").component.initialize(scene.for_training(), {})
-        model = new_model(initial_gaussians(points, pipeline.training), pipeline.training, device)
-        return Trainer(pipeline.training, parts, scene, model, points.maps, points.kinds)
+        return assemble(parts, scene, points)
 
     return make
 
@@ -52,9 +48,7 @@ def resumed(make: Make, text: str, *overrides: str, stop: int = 3) -> tuple[Trai
     held = Checkpoint(first.iteration, 0.0, first.state(), "")
     for name, values in held.part("model").items():
         assert values.shape[0] == first.model.count, name
-    model = new_model(first.model.gaussians(), second.settings, second.model.device)
-    parts = second.parts.for_field(0)
-    second = Trainer(second.settings, parts, second.scene, model, checkpoint=held)
+    second = restore(second.parts.for_field(0), second.scene, held)
     train(second)
     return whole, second
 

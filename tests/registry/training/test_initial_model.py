@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from registry import PointCloud, SceneError
-from registry.pipeline.training_settings import TrainingSettings
 from registry.training.initial_model import initial_gaussians, mean_squared_distances
+from tests.host import TrainingSettings
 
 SETTINGS = TrainingSettings(sh_degree=2)
 

@@ -7,11 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.layout import row_count
-from registry.contract.hook_points import PIPELINE_POINTS, STAGES
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.faults import faults, needs
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
+from registry import HostDefaults, Percent
 from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
@@ -19,10 +15,21 @@ from registry.priors import (
     OpticalFlowPrior,
     StereoPrior,
 )
-from registry.testing.scenes import pipeline_item
-from stereogs import build_pipeline
+from stereogs import Pipeline, build_pipeline
 from stereogs.verbs.components.explain import _size, explained, memory
 from stereogs.verbs.components.summaries import summary
+from tests.host import (
+    PIPELINE_POINTS,
+    SELECTION,
+    STAGES,
+    Plugins,
+    faults,
+    load_pipeline,
+    needs,
+    parse_pipeline,
+    pipeline_item,
+    row_count,
+)
 from tests.registry.toy_plugin import ToyGrowth
 
 ROOT = Path(__file__).parents[3]
@@ -87,7 +94,7 @@ def test_what_is_never_due_is_a_fault(toys: Plugins, tmp_path: Path) -> None:
 def test_what_is_called_far_too_often_is_a_fault(
     toys: Plugins, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ToyGrowth, "host_defaults", "{stop: 50%, every: 100}")
+    monkeypatch.setattr(ToyGrowth, "host_defaults", HostDefaults(stop=Percent(50), every=100))
 
     def fault(written: str) -> list[str]:
         text = f"name: t\nscene: toy_scene\ninitializer: toy_points\ndensification: {written}\n"
@@ -150,7 +157,7 @@ def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
 def test_the_command_says_it_and_fails_at_a_fault(
     shipped: Plugins, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from stereogs.cli import main
+    from tests.host import main
 
     path = str(ROOT / "pipelines" / "demo.yaml")
     assert main(["explain", path, "--disable", "ply"]) == 0

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
 from stereogs.verbs.demo import DATA, photographs
+from tests.host import SELECTION, Plugins
 from tests.registry.conftest import Install
 
 LOADERS = """\

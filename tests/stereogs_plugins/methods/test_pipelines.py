@@ -16,11 +16,8 @@ import yaml
 
 from core_rasterizer import open_device
 from registry import PointCloud, Scene
-from registry.discovery import Plugins
-from registry.pipeline.parts import TRAINING_SECTIONS, Parts
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.training.initial_model import initial_gaussians, new_model
-from registry.training.trainer import Iteration, Trainer
+from stereogs import Iteration, Pipeline
+from tests.host import TRAINING_SECTIONS, Parts, Plugins, assemble, load_pipeline, parse_pipeline
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 SHORT = sorted(FOLDER.glob("*-short.yaml"))
@@ -84,10 +81,8 @@ def train(pipeline: Pipeline) -> tuple[list[Iteration], str]:
     device = open_device()
     parts = Parts(pipeline, device)
     points = points_of(pipeline, parts)
-    gaussians = initial_gaussians(points, pipeline.training)
-    model = new_model(gaussians, pipeline.training, device)
-    trainer = Trainer(pipeline.training, parts, room(), model, points.maps, points.kinds)
-    return list(trainer.run()), model.digest()
+    trainer = assemble(parts, room(), points)
+    return list(trainer.run()), trainer.model.digest()
 
 
 @pytest.fixture(autouse=True)

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import gzip
 import json
 import re
-import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +13,10 @@ from PIL import Image
 
 from core_rasterizer import Gaussians, Rendering
 from registry import Fact, RunError
-from registry.runs.folder import RunFolder
-from registry.system.files import write_json
 from registry.testing import tiny_scene
-from registry.toolkit.drawing.pictures import save_png, save_view_pictures
-from registry.training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
+from registry.toolkit.drawing import save_png, save_view_pictures
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
-from stereogs_plugins.reports.html.spz import spz
+from tests.host import CHECKPOINT, Checkpoint, RunFolder, save_checkpoint, write_json
 from tests.html_page import Page
 from tests.stereogs_plugins.building import build, offered
 
@@ -279,41 +274,6 @@ def test_the_gaussians_lie_in_the_page_or_beside_it_or_are_too_large(run: RunFol
     assert not data.parent.exists()
     assert f"stereogs report {run.path} --beside" in small
     assert "scene-data" not in small
-
-
-def test_an_spz_file_holds_the_gaussians_as_its_format_says() -> None:
-    gaussians = some_gaussians()
-    content = gzip.decompress(spz(gaussians))
-    magic, version, count, degree, bits = struct.unpack("<4sIIBB", content[:14])
-    assert (magic, version, count, degree) == (b"NGSP", 2, COUNT, 1)
-    assert len(content) == 16 + COUNT * (9 + 1 + 3 + 3 + 3 + 9)
-    first = [
-        int.from_bytes(content[16 + 3 * k : 19 + 3 * k], "little", signed=True) for k in (0, 1, 2)
-    ]
-    found = torch.tensor(first) / 2.0**bits
-    torch.testing.assert_close(found, gaussians.means[0], atol=2.0**-bits, rtol=0)
-    assert float(gaussians.means.abs().max()) * 2**bits < 2**23, "24 bits hold the farthest"
-
-
-def test_gsply_reads_the_spz_file(tmp_path: Path) -> None:
-    gsply = pytest.importorskip("gsply", reason="pip install 'gsply[spz]'")
-    gaussians = some_gaussians()
-    (tmp_path / "scene.spz").write_bytes(spz(gaussians))
-    read = gsply.read_spz(tmp_path / "scene.spz")
-    unit = torch.nn.functional.normalize(gaussians.quaternions, dim=1)
-    expected = {
-        "means": (gaussians.means, 1e-5),
-        "scales": (gaussians.log_scales, 1 / 32),
-        "sh0": (gaussians.sh[:, 0], 0.014),
-        "shN": (gaussians.sh[:, 1:], 1 / 256),
-    }
-    for name, (values, tolerance) in expected.items():
-        found = torch.from_numpy(np.asarray(getattr(read, name)))
-        torch.testing.assert_close(found, values, atol=tolerance + 1e-5, rtol=0, msg=name)
-    turned = (torch.from_numpy(np.asarray(read.quats)) * unit).sum(dim=1).abs()
-    assert float(turned.min()) > 0.995, "w is what 8 bits of x, y and z leave of 1"
-    opacities = torch.from_numpy(np.asarray(read.opacities)).sigmoid()
-    torch.testing.assert_close(opacities, gaussians.opacity_logits.sigmoid(), atol=3e-3, rtol=0)
 
 
 def test_an_unfinished_run_and_damaged_files_are_explained(run: RunFolder) -> None:

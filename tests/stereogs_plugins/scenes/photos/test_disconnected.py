@@ -13,10 +13,10 @@ from registry.toolkit.photos import ColmapModel
 from stereogs_plugins.scenes.photos import disconnected
 from stereogs_plugins.scenes.photos.disconnected import largest_group
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
-from stereogs_plugins.scenes.photos.mapping import Piece
-from stereogs_plugins.scenes.photos.no_depth import Doubt
+from stereogs_plugins.scenes.photos.photogrammetry.mapping import Piece
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
+from stereogs_plugins.scenes.photos.photogrammetry.two_view import Doubt
 from stereogs_plugins.scenes.photos.picture_files import reason_lines
-from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load
 
 NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")

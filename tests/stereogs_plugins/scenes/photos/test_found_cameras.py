@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from stereogs_plugins.scenes.photos.found_cameras import remembered_cameras
-from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load, reconstruction_of
 
 
 def test_cameras_are_estimated_once(
-    folder: Path, cached: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    folder: Path, entry: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
     copy = shutil.copytree(folder, tmp_path / "elsewhere")
@@ -27,19 +27,18 @@ def test_cameras_are_estimated_once(
 def test_damaged_cameras_are_estimated_again(
     damage: str,
     folder: Path,
-    cached: Path,
+    entry: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    (whole,) = cached.glob("cameras/*")
     photos = read_folder(folder).photos
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
     def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return reconstruction_of(whole)
+        return reconstruction_of(entry)
 
     before = remembered_cameras(photos, "treatment", compute)
     (kept,) = tmp_path.glob("cameras/*")
@@ -67,16 +66,15 @@ def test_damaged_cameras_are_estimated_again(
 
 
 def test_other_photographs_or_settings_are_other_cameras(
-    folder: Path, cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, entry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     photos = read_folder(folder).photos
-    (whole,) = cached.glob("cameras/*")
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     asked: list[Path] = []
 
     def compute(empty: Path) -> Reconstruction:
         asked.append(empty)
-        return reconstruction_of(whole)
+        return reconstruction_of(entry)
 
     for treatment, chosen in (("a", photos), ("a", photos), ("b", photos), ("a", photos[1:])):
         remembered_cameras(chosen, treatment, compute)

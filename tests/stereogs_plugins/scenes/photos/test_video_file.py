@@ -9,10 +9,10 @@ import pytest
 
 from registry import SceneError
 from registry.testing import check
-from stereogs.cli import main
 from stereogs_plugins.scenes.photos import VideoScene, video_file
 from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
 from tests.data import data_folder
+from tests.host import main
 from tests.stereogs_plugins.building import build
 
 PHOTOGRAPHS, COPIES = 5, 3

@@ -1,0 +1,48 @@
+"""Put a training together: from its first points, or from a checkpoint."""
+
+from __future__ import annotations
+
+from core_rasterizer import Gaussians
+
+from ..contract.scene import PointCloud, Scene
+from ..pipeline.parts import Parts
+from .checkpoint import Checkpoint
+from .initial_model import initial_gaussians, new_model
+from .trainer import Trainer
+
+
+def assemble(
+    parts: Parts, scene: Scene, points: PointCloud, gaussians: Gaussians | None = None
+) -> Trainer:
+    """Return the training of a pipeline before its first iteration.
+
+    Args:
+        parts: components of the pipeline; their device trains.
+        scene: validated.
+        points: output of the initializer.
+        gaussians: made from the points (`initial_gaussians`); None makes them.
+
+    Raises:
+        SceneError: the points are empty or out of range.
+        GaussianError: a parameter is not finite.
+    """
+    settings = parts.pipeline.training
+    if gaussians is None:
+        gaussians = initial_gaussians(points, settings)
+    model = new_model(gaussians, settings, parts.device)
+    return Trainer(settings, parts, scene, model, points.maps, points.kinds)
+
+
+def restore(parts: Parts, scene: Scene, checkpoint: Checkpoint) -> Trainer:
+    """Return the training of a pipeline after a checkpoint; it continues to the same bits.
+
+    Args:
+        parts, scene: as in `assemble`.
+
+    Raises:
+        ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
+        Exception: tensors of the checkpoint do not fit; see `explain_misfit`.
+    """
+    settings = parts.pipeline.training
+    model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
+    return Trainer(settings, parts, scene, model, checkpoint=checkpoint)
