@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -36,12 +34,12 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+@pytest.fixture
+def cache(clip: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache that the tests share: four frames of the clip and their cameras are found once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STEREOGS_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield Path(os.environ["STEREOGS_CACHE"])
+    cache = clip.with_name("cache")
+    monkeypatch.setenv("STEREOGS_CACHE", str(cache))
+    return cache
 
 
 def test_a_video_is_a_scene_of_its_sharp_frames(
