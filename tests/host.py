@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
     from core_rasterizer.device import Description, Program, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
-    from registry.calls.read_only_guard import checked_plugins
+    from registry.calls.policy import checked_plugins
     from registry.contract.checks.answers import check_sample
     from registry.contract.hook_points import (
         HOOK_POINTS,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     )
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
-    from registry.pipeline.settings_check import escape_variables, plain
+    from registry.pipeline.settings_check import escape_variables, plain, validate_settings
     from registry.pipeline.training_settings import LearningRates, TrainingSettings
     from registry.pipeline.yaml_source import Place, parse as parse_yaml, to_yaml
     from registry.priors.prior_cache import load_estimate, save_estimate

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -24,7 +23,7 @@ from .origin import (
     refuse_changed_plugins,
     with_packages,
 )
-from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
+from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe
 from .trained_scene import TrainedScene
 
 _log = logging.getLogger(__name__)
@@ -150,7 +149,7 @@ def _write_with_outputs(run: TrainedScene, folder: RunFolder, results: Results) 
     results.exports, failures = _outputs(
         folder,
         exporters,
-        lambda exporter: exporter.export(GaussianReader(run.model), copied(run.scene), place),
+        lambda: (GaussianReader(run.model), copied(run.scene), place),
     )
     results.failures += failures
     folder.write_results(results)  # for the reports
@@ -163,22 +162,21 @@ def _report(
     run: TrainedScene, folder: RunFolder, reports: Sequence[Part]
 ) -> tuple[list[str], list[Failure]]:
     progress("page")
-    return _outputs(folder, reports, lambda report: report.write(folder.path, copied(run.scene)))
+    return _outputs(folder, reports, lambda: (folder.path, copied(run.scene)))
 
 
 def _outputs(
-    folder: RunFolder, parts: Sequence[Part], write: Callable[[Any], list[Path]]
+    folder: RunFolder, parts: Sequence[Part], given: Callable[[], tuple[Any, ...]]
 ) -> tuple[list[str], list[Failure]]:
     """Return the files that components wrote, relative to the folder where possible, and failures.
 
     Args:
-        write: calls a component, and returns its answer.
+        given: returns new arguments for a component.
     """
     root, files, failures = folder.path, list[str](), list[Failure]()
     for part in parts:
         try:
-            with part.at_work():
-                written = existing_files(write(part.component))
+            written = part.call(*given())
         except ExplainedError as error:
             failures.append(Failure.of(part.item.qualified_name, error))
         else:

@@ -110,8 +110,8 @@ class TrainedScene:
         """
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
         part = build_part(item, self.pipeline.training.seed, self.model.engine)
-        with part.at_work(), one_torch_thread():
-            answer: Confidence = part.component.estimate(self.trained)
+        with one_torch_thread():
+            answer: Confidence = part.call(self.trained)
         return answer
 
     @property
