@@ -22,7 +22,6 @@ from torch import Tensor
 
 from benchmarks.error_report import tables, write_docs
 from benchmarks.garden import garden
-from benchmarks.sparse_adam import measure_sparse_adam
 from benchmarks.surfaces import surfaces
 from benchmarks.switches import EXACT, Overrides, Setting, Switch, build, switches
 from core_rasterizer import Camera, Device, GaussianModel, open_device
@@ -203,8 +202,7 @@ def measure(device: Device) -> dict[str, Any]:
     for name, (gaussians, cameras) in scenes.items():
         Console(stderr=True).print(name, style="dim")
         model = GaussianModel(gaussians, device)
-        scene = SceneBenchmark(model, cameras[0]).measure()
-        result["scenes"][name] = scene | {"sparse_adam": measure_sparse_adam(model, cameras)}
+        result["scenes"][name] = SceneBenchmark(model, cameras[0]).measure()
     return result
 
 

@@ -30,8 +30,6 @@ def test_a_set_trains_on_its_photographs_in_the_order_of_the_pool() -> None:
     scene = pool((0.0, 1.0, 2.0, 3.0, 4.0)).of((4, 0, 1))
     assert [view.name for view in scene.train] == ["0", "1", "4"]
     assert [view.name for view in scene.test] == ["5"]
-    left_out = pool((0.0, 1.0, 2.0, 3.0, 4.0)).of((4, 0, 1), test_pool=True)
-    assert [view.name for view in left_out.test] == ["2", "3"]
 
 
 def test_the_start_is_evenly_spaced() -> None:
