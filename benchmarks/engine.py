@@ -22,10 +22,10 @@ from unittest.mock import patch
 import pyopencl as cl
 import torch
 from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from benchmarks import pages
 from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
 from benchmarks.yardsticks import Yardsticks, all_torch_threads, milliseconds, yardsticks
 from core_rasterizer import (
@@ -277,32 +277,20 @@ def measure(device: Device) -> dict[str, Any]:
 
 def show(result: dict[str, Any]) -> None:
     """Print the figures as tables."""
-    console = Console()
-    console.print(f"[bold]{result['device']}[/], {WIDTH}x{HEIGHT}, SH degree 3, medians in ms")
+    print(f"{result['device']}, {WIDTH}x{HEIGHT}, SH degree 3, medians in ms\n")
     known = {count: Yardsticks(**ms) for count, ms in result["yardsticks_ms"].items()}
-    table = Table("", *(f"N = {int(count):,}" for count in known))
+    rows, shown = [], ["device", "size", "yardsticks_ms"]
     for name in ("forward", "forward_backward", "iteration"):
+        shown.append(f"{name}_ms")
         times = result[f"{name}_ms"]
-        table.add_row(name, *(f"{value:.1f}" for value in times.values()))
+        rows.append([name, *(f"{value:.1f}" for value in times.values())])
         ratios = [known[count].ratios(value) for count, value in times.items()]
         for unit, cells in zip(("copies", "Adam steps"), zip(*ratios, strict=True), strict=True):
-            table.add_row(f"  in {unit}", *cells)
-    console.print(table)
-    for name in (
-        "fixed_cost_ms",
-        "stages_ms",
-        "ratios",
-        "options_over_plain",
-        "growth_with_count_ms",
-        "growth_with_pixels_ms",
-        "growth_with_pixels_ms_per_megapixel",
-        "growth_with_pixels_peak_memory_mb",
-        "peak_memory_mb",
-    ):
-        rows = Table(name, "")
-        for key, value in result[name].items():
-            rows.add_row(key, f"{value:.2f}")
-        console.print(rows)
+            rows.append([f"in {unit}", *cells])
+    print(pages.table(["", *(f"N = {int(count):,}" for count in known)], rows))
+    for name, figures in result.items():
+        if name not in shown:
+            print(pages.table([name, ""], [[key, f"{x:.2f}"] for key, x in figures.items()]))
 
 
 def main() -> None:

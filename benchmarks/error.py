@@ -20,7 +20,7 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
-from benchmarks.error_report import print_tables, write_docs
+from benchmarks.error_report import tables, write_docs
 from benchmarks.garden import garden
 from benchmarks.sparse_adam import measure_sparse_adam
 from benchmarks.surfaces import surfaces
@@ -216,7 +216,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     result = measure(open_device(arguments.device))
-    print_tables(result)
+    print(tables(result))
     OUT.parent.mkdir(parents=True, exist_ok=True)
     OUT.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     Console().print(f"written to {OUT}")

@@ -5,14 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks import pages
 
-WIDTH = 130
-"""Characters of the widest table; a narrower terminal wraps or scrolls."""
 TARGET = "bench-error"
 PAGE = pages.DOCS / "run_time.md"
 PICTURE = pages.DOCS / "images" / "engine_error.png"
@@ -70,24 +64,8 @@ Measured on {device}.
 """
 
 
-def print_tables(result: dict[str, Any]) -> None:
-    """The figures as tables on the terminal."""
-    console = Console()
-    console.width = max(console.width, WIDTH)
-    console.print(f"[bold]{result['device']}[/]")
-    for name, scene in result["scenes"].items():
-        console.print(f"\n[bold]{name}[/]: {_headline(name, scene)}")
-        for columns, rows in ((COLUMNS, _rows(scene)), (ADAM_COLUMNS, _adam_rows(scene))):
-            table = Table(*columns, box=SIMPLE)
-            for default, cells in rows:
-                table.add_row(*cells, style="bold" if default else "")
-            console.print(table)
-
-
-def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
-    """Write the tables, the summary and the picture, which shows the last scene; return their paths."""
-    from benchmarks.error_picture import draw  # the tables do without matplotlib
-
+def tables(result: dict[str, Any]) -> str:
+    """Return all tables, with notes, in Markdown."""
     scenes = result["scenes"]
     steps = next(iter(scenes.values()))["sparse_adam"]["steps"]
     itself = [ratio for scene in scenes.values() for ratio in scene["ratios_to_itself"]]
@@ -98,7 +76,15 @@ def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
         parts.append(f"## {name.capitalize()}\n\n{_headline(name, scene)}\n")
         parts.append(_markdown(COLUMNS, _rows(scene)))
         parts.append(_markdown(ADAM_COLUMNS, _adam_rows(scene)))
-    file = pages.write_tables("error", "Run time against error", TARGET, "\n".join(parts))
+    return "\n".join(parts)
+
+
+def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
+    """Write the tables, the summary and the picture, which shows the last scene; return their paths."""
+    from benchmarks.error_picture import draw  # the tables do without matplotlib
+
+    scenes = result["scenes"]
+    file = pages.write_tables("error", "Run time against error", TARGET, tables(result))
     pages.rewrite(PAGE, pages.marks(TARGET), summary(scenes))
     name, scene = list(scenes.items())[-1]
     draw(scene, f"{name}, {scene['gaussians']:,} Gaussians, {result['device']}", PICTURE)

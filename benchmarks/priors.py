@@ -12,8 +12,6 @@ import os
 from pathlib import Path
 
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
@@ -77,19 +75,15 @@ def main() -> None:
     depth, seconds = priors_depth.table(rows), priors_depth.seconds_table(rows)
     if len(stereo) < 2:
         raise SystemExit("set STEREOGS_DATA to the folder that holds stereo_* and the photographs")
-    for lines in (stereo, depth, seconds):
-        table = Table(*lines[0])
-        for line in lines[1:]:
-            table.add_row(*line)
-        Console().print(table)
+    where = f"{device.name} ({device.platform})"
+    text = _STEREO.format(device=where, stereo=pages.table(stereo[0], stereo[1:], left=2))
+    text += _DEPTH.format(
+        device=where,
+        depth=pages.table(depth[0], depth[1:], left=2),
+        seconds=pages.table(seconds[0], seconds[1:]),
+    )
+    print(text)
     if arguments.write_docs:
-        where = f"{device.name} ({device.platform})"
-        text = _STEREO.format(device=where, stereo=pages.table(stereo[0], stereo[1:], left=2))
-        text += _DEPTH.format(
-            device=where,
-            depth=pages.table(depth[0], depth[1:], left=2),
-            seconds=pages.table(seconds[0], seconds[1:]),
-        )
         pages.write_tables("priors", "Accuracy of prior models", TARGET, text)
         pages.rewrite(PAGE, pages.marks(TARGET), summary(stereo, depth))
 

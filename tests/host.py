@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
     from core_rasterizer.device import Description, Program, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
-    from registry.calls.read_only_guard import checked_plugins
+    from registry.calls.policy import checked_plugins
     from registry.contract.checks.answers import check_sample
     from registry.contract.hook_points import (
         HOOK_POINTS,

@@ -12,6 +12,7 @@ from core_rasterizer.errors import ExplainedError
 
 from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
+from ..contract.prior import Prior
 from ..discovery import Offer, Plugins
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
@@ -58,6 +59,22 @@ class Item:
     def qualified_name(self) -> str:
         """Unique in the pipeline, for example "regularizers.stereo_depth"."""
         return f"{self.point.section}.{self.name}"
+
+    def __str__(self) -> str:
+        return f"{self.offer} at {self.place}"
+
+    @property
+    def kind(self) -> str:
+        """Title and name for messages, for example "metric 'psnr'"."""
+        return f"{self.point.title} {self.offer.name!r}"
+
+    @property
+    def advice(self) -> str:
+        """How a user can work around it if it fails."""
+        report = f"report it to the authors of {self.offer.distribution}"
+        if self.point.required or issubclass(self.point.base, Prior):
+            return f"{report}, or put another {self.point.title} in its place"
+        return f"{report}, or switch it off with `--disable {self.offer.name}`"
 
 
 @dataclass(frozen=True)

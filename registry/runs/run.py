@@ -41,7 +41,7 @@ from .origin import (
     refuse_changed_plugins,
     with_packages,
 )
-from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe, existing_files
+from .results import EXPORTS, RENDERS, Failure, Results, add_scores, describe
 
 Sums = dict[str, tuple[float, int]]
 SUMS = "sums"
@@ -140,8 +140,8 @@ class Run:
         """
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
         part = build_part(item, self.pipeline.training.seed, self.model.engine)
-        with part.at_work(), one_torch_thread():
-            answer: Confidence = part.component.estimate(self.trained)
+        with one_torch_thread():
+            answer: Confidence = part.call(self.trained)
         return answer
 
     @property
@@ -386,7 +386,7 @@ class Run:
         progress("files")
         results.exports, failures = self._outputs(
             exporters,
-            lambda exporter: exporter.export(GaussianReader(self.model), copied(self.scene), place),
+            lambda: (GaussianReader(self.model), copied(self.scene), place),
         )
         results.failures += failures
         folder.write_results(results)  # for the reports
@@ -397,23 +397,22 @@ class Run:
     def _report(self, reports: Sequence[Part]) -> tuple[list[str], list[Failure]]:
         path = self.folder_or_refuse().path
         progress("page")
-        return self._outputs(reports, lambda report: report.write(path, copied(self.scene)))
+        return self._outputs(reports, lambda: (path, copied(self.scene)))
 
     def _outputs(
-        self, parts: Sequence[Part], write: Callable[[Any], Any]
+        self, parts: Sequence[Part], given: Callable[[], tuple[Any, ...]]
     ) -> tuple[list[str], list[Failure]]:
         """Return the files that components wrote, relative to the folder where possible, and failures.
 
         Args:
-            write: calls a component, and returns its answer.
+            given: returns new arguments for a component.
         """
         root = self.folder_or_refuse().path
         files: list[str] = []
         failures: list[Failure] = []
         for part in parts:
             try:
-                with part.at_work():
-                    written = existing_files(write(part.component))
+                written = part.call(*given())
             except ExplainedError as error:
                 failures.append(Failure.of(part.item.qualified_name, error))
             else:

@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..calls.repeats import first_difference
 from ..contract.component import Component, Settings
 from ..discovery import Plugins
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
 from ..runs.options import RunOptions
 from ..runs.training_run import resume, start

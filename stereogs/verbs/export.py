@@ -135,7 +135,7 @@ def export(
     """
     from registry.calls.copies import copied
     from registry.pipeline.parts import build_part
-    from registry.runs.results import EXPORTS, existing_files
+    from registry.runs.results import EXPORTS
     from registry.training.trainer import one_torch_thread
 
     item = find_exporter(format_name, changes)
@@ -144,8 +144,8 @@ def export(
         reader = _reader(run, without, min_confidence)
         place.mkdir(parents=True, exist_ok=True)
         part = build_part(item, run.pipeline.training.seed, run.model.engine)
-        with part.at_work():
-            return existing_files(part.component.export(reader, copied(run.scene), place))
+        files: list[Path] = part.call(reader, copied(run.scene), place)
+        return files
 
 
 def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:

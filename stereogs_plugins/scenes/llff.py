@@ -11,6 +11,7 @@ If photographs were removed from a capture, `split.json` next to the poses lists
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -118,10 +119,14 @@ def _image_of_each_row(folder: Path, images: Path, row_count: int) -> list[Path]
         listed = read_document(names, _Split, fix).all_names
         found = [inside(images, name, str(names)) for name in listed]
     if len(found) != row_count:
+        fix = "restore the missing images, or remove the rows of the missing images"
+        stems = Counter(path.stem for path in found)
+        if repeated := [path.name for path in found if stems[path.stem] > 1]:
+            fix = f"remove the copies of photographs with another suffix: {', '.join(repeated[:6])}"
         raise SceneError(
             f"there are {row_count} poses but {len(found)} images",
             where=f"{folder / 'poses_bounds.npy'} and {names if names.is_file() else images}",
-            fix="restore the missing images, or remove the rows of the missing images",
+            fix=fix,
         )
     return found
 

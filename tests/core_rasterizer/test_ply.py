@@ -210,6 +210,60 @@ def test_a_value_that_is_not_finite_is_named(scene_file: Path) -> None:
     assert caught.value.where.endswith("scale_1[5]")
 
 
+def test_infinite_opacities_are_opaque_and_transparent(scene_file: Path) -> None:
+    rows = np.array(PlyData.read(str(scene_file))["vertex"].data)
+    rows["opacity"][[2, 4]] = math.inf, -math.inf
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(scene_file))
+    opacities = torch.sigmoid(load_ply(scene_file).opacity_logits)
+    assert opacities[2] == 1
+    assert 0 < opacities[4] < 1e-12
+
+
+def with_header(scene_file: Path, old: str, new: str) -> Path:
+    content = scene_file.read_bytes()
+    assert old.encode() in content
+    scene_file.write_bytes(content.replace(old.encode(), new.encode(), 1))
+    return scene_file
+
+
+def test_comments_need_not_be_ascii(scene_file: Path) -> None:
+    before = load_ply(scene_file)
+    element = "element vertex"
+    path = with_header(scene_file, element, f"comment caf\u00e9\nobj_info \u5730\n{element}")
+    torch.testing.assert_close(load_ply(path).means, before.means, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("SplatRenderMode: default", "SplatRenderMode: mip"),
+        ("property float nx", "property float filter_3D"),
+    ],
+    ids=["comment", "property"],
+)
+def test_an_anti_aliasing_filter_is_mentioned(
+    old: str, new: str, scene_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    load_ply(scene_file)
+    assert not caplog.text
+    load_ply(with_header(scene_file, old, new))
+    assert "compensate_dilation" in caplog.text
+
+
+def test_scenes_of_other_kinds_are_named(tmp_path: Path, scene_file: Path) -> None:
+    flat = rewritten(scene_file, tmp_path / "flat.ply", drop="scale_2")
+    packed = tmp_path / "packed.ply"
+    names = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+    rows = np.zeros(3, dtype=[(name, "u4") for name in names])
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(packed))
+    splat = tmp_path / "scene.splat"
+    splat.write_bytes(bytes(64))
+    for path, what in ((flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15")):
+        with pytest.raises(PlyError, match=what) as caught:
+            load_ply(path)
+        assert caught.value.fix
+
+
 def test_a_list_property_raises(tmp_path: Path, scene_file: Path) -> None:
     path = rewritten(scene_file, tmp_path / "text.ply", text=True)
     content = path.read_text().replace("property float opacity", "property list uchar int opacity")

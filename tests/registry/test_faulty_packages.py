@@ -224,9 +224,7 @@ def test_growing_memory_is_refused_before_memory_runs_out(
 ) -> None:
     pipeline, out = make(component("grows_memory")), tmp_path / "run"
     stereogs.train(make(""), progress=False, device=device)  # initial allocations do not count
-    monkeypatch.setattr(
-        "registry.pipeline.blame.LEDGER", MemoryLedger(limit=resident_bytes() + 8e7)
-    )
+    monkeypatch.setattr("registry.calls.call.LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
     error = refusal(pipeline, out, device)
     assert "memory runs out" in error.what
     blamed(error, "grows_memory", iteration=None)

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from registry import PluginError, Prior, TrainingView
+from registry.calls.blame import blame as blamed
 from registry.contract.hook_points import HOOK_POINTS
 from registry.discovery import Offer, Plugins
-from registry.pipeline.blame import blame as blamed
 from registry.pipeline.edits import apply_override
 from registry.pipeline.parts import build_part, load_scene
 from registry.pipeline.pipeline import component_item
