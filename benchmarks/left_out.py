@@ -55,7 +55,7 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Record:
+class VariantScore:
     """One training.
 
     Args:
@@ -84,7 +84,7 @@ class Record:
 
 
 @dataclass(eq=False)
-class Bench:
+class VariantTrainings:
     """Trains variants of pipelines; loads shared scenes and computes shared first points once.
 
     Args:
@@ -105,7 +105,7 @@ class Bench:
         return "half" if self.halved else ""
 
     @one_torch_thread()
-    def trial(self, case: str, pipeline: Pipeline) -> Record:
+    def trial(self, case: str, pipeline: Pipeline) -> VariantScore:
         """Train one pipeline on one case."""
         scene = self._scene(case)
         pipeline = pipeline.for_views(len(scene.train))
@@ -121,7 +121,7 @@ class Bench:
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean
-        return Record(
+        return VariantScore(
             case=case,
             changes=self.changes,
             digest=pipeline_digest(pipeline),
@@ -158,10 +158,14 @@ def _number(score: float | None) -> float:
 
 
 def measure(
-    bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
-) -> Iterator[tuple[Variant, Record]]:
+    bench: VariantTrainings,
+    pipeline: Path,
+    variants: Sequence[Variant],
+    cases: Sequence[str],
+    seeds: int,
+) -> Iterator[tuple[Variant, VariantScore]]:
     """Yield every variant on every case with every seed; train those without a record."""
-    records = (Record(**values) for values in lines(OUT))
+    records = (VariantScore(**values) for values in lines(OUT))
     known = {(record.case, record.changes, record.digest): record for record in records}
     for case in cases:
         for seed in range(seeds):
@@ -175,7 +179,7 @@ def measure(
                 yield variant, known[key]
 
 
-def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
+def table(results: Sequence[tuple[Variant, VariantScore]], variants: Sequence[Variant]) -> str:
     """Return means of each variant and its gain over the first, on the same cases and seeds."""
     headings = ["variant", "PSNR", "SSIM", "gain dB, mean", "by case", "training views", "CPU s"]
     cells = []
@@ -213,7 +217,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds")
     parser.add_argument("--half", action="store_true", help="photographs of half their size")
     arguments = parser.parse_args()
-    bench, results = Bench(open_device(), arguments.half), []
+    bench, results = VariantTrainings(open_device(), arguments.half), []
     cases = arguments.cases.split(",")
     for variant, record in measure(
         bench, arguments.pipeline, arguments.variants, cases, arguments.seeds

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks.left_out import Record, Variant, table
+from benchmarks.left_out import Variant, VariantScore, table
 from benchmarks.left_out_scenes import half, thinned
 from core_rasterizer import Camera
 from registry import Scene, View
@@ -45,8 +45,8 @@ def test_a_table_compares_with_the_first_variant_case_by_case() -> None:
     first, second = Variant.parse("plain"), Variant.parse("more: a.b=1; c=[2, 3]")
     assert second.overrides == ("a.b=1", "c=[2, 3]")
 
-    def record(case: str, psnr: float) -> Record:
-        return Record(case, "", "0", 0, psnr, 0.5, 30.0, 1000, 1.0, 2.0)
+    def record(case: str, psnr: float) -> VariantScore:
+        return VariantScore(case, "", "0", 0, psnr, 0.5, 30.0, 1000, 1.0, 2.0)
 
     results = [
         (first, record("a", 20.0)),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks import next_views
-from benchmarks.next_views import Bench, read_records
+from benchmarks.next_views import RecordedSets, read_records
 from benchmarks.next_views_page import Measured, interval, summary, table
 from benchmarks.next_views_rules import RULES
 from benchmarks.next_views_scenes import SCENES, PoolScene
@@ -101,4 +101,4 @@ def test_what_is_recorded_is_not_trained_again(
     file.write_text(json.dumps(line) + "\n")
     monkeypatch.setattr(next_views, "FILE", file)
     monkeypatch.delattr(next_views, "train")
-    assert Bench().psnr(pool((0.0, 1.0, 2.0, 3.0)), (2, 0, 1)) == 12.5
+    assert RecordedSets().psnr(pool((0.0, 1.0, 2.0, 3.0)), (2, 0, 1)) == 12.5
