@@ -18,6 +18,7 @@ from torch import Tensor
 from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering, save_ply
 
 from ..calls.copies import copied
+from ..calls.process_state import one_torch_thread
 from ..confidence import Confidence, Trained
 from ..contract.components import ViewMetric
 from ..contract.scene import Scene
@@ -30,7 +31,7 @@ from ..system.files import jsonable
 from ..system.memory import peak_memory_mb
 from ..toolkit.progress import progress, tracked
 from ..training.checkpoint import CHECKPOINT, Checkpoint, save_checkpoint
-from ..training.trainer import maps_of, one_torch_thread
+from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
 from .folder import RunFolder
 from .origin import (
@@ -131,6 +132,7 @@ class Run:
         """
         return self.checkpoint().part("kinds")
 
+    @one_torch_thread()
     def confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
         """Return the confidence in renders of the Gaussians.
 
@@ -140,8 +142,7 @@ class Run:
         """
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
         part = build_part(item, self.pipeline.training.seed, self.model.engine)
-        with one_torch_thread():
-            answer: Confidence = part.call(self.trained)
+        answer: Confidence = part.call(self.trained)
         return answer
 
     @property
@@ -158,6 +159,7 @@ class Run:
             return self.evaluate()
         return self._scores[1]
 
+    @one_torch_thread()
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
         """Render and score all views; draw the test views, or if there are none the others, into a folder."""
         begin = monotonic()
@@ -169,13 +171,12 @@ class Run:
             for part in asking:
                 with part.at_work():
                     part.component.begin_scoring(trained)
-        with one_torch_thread():
-            views = tracked([*scene.test, *scene.train], "scoring")
-            test = islice(views, len(scene.test))
-            scores = {
-                "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
-                "train": evaluate(self.model, scene, views, quick(metrics), of_train),
-            }
+        views = tracked([*scene.test, *scene.train], "scoring")
+        test = islice(views, len(scene.test))
+        scores = {
+            "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
+            "train": evaluate(self.model, scene, views, quick(metrics), of_train),
+        }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
         return scores
