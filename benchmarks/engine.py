@@ -120,8 +120,8 @@ def stages(
     workload, run = Workload(count, device), Program.run
     work(workload)
 
-    def kept(program: Program, kernel: str, *arguments: Any) -> None:
-        events.append((kernel, run(program, kernel, *arguments)))
+    def kept(program: Program, kernel: str, *size: Any, **arguments: Any) -> None:
+        events.append((kernel, run(program, kernel, *size, **arguments)))
 
     with patch.object(Program, "run", kept):
         for _ in range(repeats):
