@@ -76,10 +76,12 @@ class Next(Command):
         place = run.folder_or_refuse()
         folder = place.folder("next")
         write(run, found, names, folder)
-        for number, one in enumerate(found, start=1):
-            name = f"{names[one.index]}: " if names is not None else ""
-            output.print(f"{number}  {name}{one.words}")
-            output.print(f"   confirms {one.gain:.0%} of what is unknown now{_doubt(one.overlap)}")
+        for number, view in enumerate(found, start=1):
+            name = f"{names[view.index]}: " if names is not None else ""
+            output.print(f"{number}  {name}{view.words}")
+            output.print(
+                f"   confirms {view.gain:.0%} of what is unknown now{_doubt(view.overlap)}"
+            )
         output.print(photographs.step_words)
         output.print(f"{counted(len(found), 'picture')} and next.json in {folder}")
         if not run.finished or not place.results():
