@@ -11,7 +11,7 @@ from typing import NamedTuple
 from benchmarks.trainings import DATA, SEEDS, Case, Method, Training, written_digest
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override
-from registry.pipeline.pipeline import build_pipeline, load_pipeline
+from registry.pipeline.pipeline import checked_pipeline, load_pipeline
 from registry.pipeline.yaml_source import Node, parse
 from stereogs.quality.table import SHORT
 
@@ -98,5 +98,5 @@ def _planned(name: str, switch: Shortcut, seed: int, plugins: Plugins) -> Traini
     digest = written_digest(tree)
     identity = {"switch": switch.label, "data": case.data, "seed": seed}
     method = Method(switch.label, Path(SHORT), baseline=switch.label == DEFAULT)
-    pipeline = build_pipeline(tree, plugins)
+    pipeline = checked_pipeline(tree, plugins)
     return Training(f"{name}_{seed}_{digest}", identity, case, method, seed, pipeline, digest)

@@ -15,7 +15,7 @@ from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.messages.suggestions import did_you_mean, listing
 from registry.pipeline.edits import SECTIONS, component_items, item_names
-from registry.pipeline.pipeline import Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Pipeline, checked_pipeline
 from registry.pipeline.yaml_source import Node, Place
 
 from .description import Description, Toggle

@@ -13,7 +13,7 @@ from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.messages.suggestions import counted
 from registry.pipeline.edits import set_value
-from registry.pipeline.pipeline import Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Pipeline, checked_pipeline
 from registry.pipeline.yaml_source import Node, Place
 
 from .variations import Alternative, Change, Variation
