@@ -105,13 +105,14 @@ class HostSettings(Schedule):
 def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, Node]:
     """Return the host's settings with shares such as `stop: 50%` as iterations, rounded down.
 
-    If a run is so short that a share ends before the start, the component is disabled.
+    If a run is so short that a share ends before the start, the component is never due in it.
 
     Raises:
-        PipelineError: a share is more than 100 %.
+        PipelineError: a share is more than 100 %, 0 % where that is no iteration, or ends before it starts
+            in a run of any length.
     """
     result = dict(settings)
-    shares: list[Node] = []
+    shares: dict[str, Fraction] = {}
     for name in Schedule.model_fields:
         node = settings.get(name)
         share = _SHARE.fullmatch(str(node.content)) if node else None
@@ -122,13 +123,24 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
                 f"{name} is {node.content} of the iterations, more than there are",
                 fix="write a share from 0% to 100%, or a number of iterations",
             )
-        exact = Fraction(share[1]) * iterations / 100  # with floats, 57 % of 10,000 is 5,699
-        result[name] = Node(max(1, int(exact)), node.place)
-        shares.append(result[name])
+        shares[name] = Fraction(share[1])
+        if not shares[name] and name in ("stop", "every"):
+            raise node.place.error(
+                f"{name} is 0% of the iterations, which is no iteration",
+                fix="write a larger share, or `enabled: false` to switch the component off",
+            )
+        exact = shares[name] * iterations / 100  # with floats, 57 % of 10,000 is 5,699
+        result[name] = Node(max(0 if name == "phase" else 1, int(exact)), node.place)
+    if {"start", "stop"} <= shares.keys() and shares["stop"] < shares["start"]:
+        raise settings["stop"].place.error(
+            f"stop ({settings['stop'].content}) is before start ({settings['start'].content})",
+            fix="exchange them",
+        )
     start, stop = (result[name].content if name in result else None for name in ("start", "stop"))
     if shares and isinstance(start, int) and isinstance(stop, int) and stop < start:
-        del result["start"], result["stop"]
-        result["enabled"] = Node(False, shares[0].place)
+        # Far enough behind the end that it stays there when `scaled` rounds.
+        result["start"] = Node(2 * iterations, result["start"].place)
+        del result["stop"]
     return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
+from registry.pipeline.faults import faults
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.schedule import in_iterations
 from registry.pipeline.yaml_source import Node, Place
@@ -30,7 +31,7 @@ def test_a_share_follows_the_number_of_iterations(toys: Plugins) -> None:
     assert (item.schedule.start, item.schedule.stop) == (5, 24)
 
 
-@given(st.integers(0, 1000), st.integers(1, 100_000))
+@given(st.integers(1, 1000), st.integers(1, 100_000))
 def test_a_share_is_exact(tenths: int, iterations: int) -> None:
     written = {"stop": Node(f"{tenths // 10}.{tenths % 10}%", Place("a.yaml", 1))}
     stop = in_iterations(written, iterations)["stop"].content
@@ -60,14 +61,38 @@ def test_what_is_no_share_is_refused(toys: Plugins) -> None:
         parse(toys, "densification.stop=half")
 
 
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("densification.start=60%", r"stop \(49.9%\) is before start \(60%\)"),
+        ("densification.stop=0%", "stop is 0%"),
+        ("densification.every=0%", "every is 0%"),
+    ],
+)
+def test_shares_that_no_length_can_satisfy_are_refused(
+    change: str, what: str, toys: Plugins
+) -> None:
+    with pytest.raises(PipelineError, match=what) as caught:
+        parse(toys, change)
+    assert caught.value.fix
+
+
+def test_a_phase_of_nothing_is_0(toys: Plugins) -> None:
+    changes = ("densification.every=100", "densification.phase=0%")
+    assert parse(toys, *changes).items["densification"][0].schedule.phase == 0
+
+
 def test_a_moment_after_the_end_is_refused(toys: Plugins) -> None:
     with pytest.raises(PipelineError, match="150% of the iterations, more than there are"):
         parse_pipeline(TEXT.replace("10%", "150%"), toys)
 
 
-def test_a_run_too_short_for_a_share_does_without_the_component(toys: Plugins) -> None:
+def test_in_a_run_too_short_for_a_share_the_component_is_never_due(toys: Plugins) -> None:
     text = TEXT.replace("start: 10%", "start: 600")
     short = parse_pipeline(text, toys, overrides=["training.iterations=1000"])
-    assert short.items["densification"] == ()
+    (item,) = short.items["densification"]
+    assert not item.schedule.due_in(1000)
+    assert any("is never due in 1000 iterations" in fault for fault in faults(short))
+    assert parse_pipeline(short.to_yaml(), toys) == short
     long = parse_pipeline(text, toys, overrides=["training.iterations=2000"])
     assert long.items["densification"][0].schedule.stop == 998
