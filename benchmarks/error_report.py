@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import pages
+from stereogs.experiments.showing.score_table import markdown
 
 TARGET = "bench-error"
 PAGE = pages.DOCS / "run_time.md"
@@ -112,7 +113,7 @@ def summary(scenes: dict[str, Any]) -> str:
         for settings in zip(*of_scenes, strict=True)
         if not settings[0]["default"]
     ]
-    return pages.table(headings, rows, left=2)
+    return markdown(headings, rows, names=2)
 
 
 def _headline(name: str, scene: dict[str, Any]) -> str:
@@ -172,4 +173,4 @@ def _markdown(columns: tuple[str, ...], rows: list[tuple[bool, list[str]]]) -> s
         ]
         for default, cells in rows
     ]
-    return pages.table(columns, marked, left=len(columns))
+    return markdown(columns, marked, names=len(columns))

@@ -22,7 +22,6 @@ from pathlib import Path
 from statistics import fmean
 from time import process_time
 
-from benchmarks import pages
 from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
 from benchmarks.records import append, lines
 from benchmarks.trainings import PIPELINES
@@ -34,6 +33,7 @@ from registry.runs.evaluation import evaluate
 from registry.training.assembly import assemble
 from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
+from stereogs.experiments.showing.score_table import markdown
 from stereogs.session import build_pipeline, load_scene
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
@@ -197,7 +197,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
                 f"{fmean(r.gaussians for r in records):,.0f}",
             ]
         )
-    return pages.table([*headings, "Gaussians"], cells)
+    return markdown([*headings, "Gaussians"], cells)
 
 
 def main() -> int:

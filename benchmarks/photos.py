@@ -31,6 +31,7 @@ from registry.toolkit.photos import (
     longest_side,
     read_colmap_model,
 )
+from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
 from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
@@ -175,7 +176,7 @@ def summary(records: dict[tuple[str, str, bool], Record]) -> str:
         for networks, kind in ((False, "SIFT"), (True, "with networks"))
         if any(record.case[::2] == (scene, networks) for record in records.values())
     ]
-    return pages.table(["pictures of", "matches", *measured], rows, left=2)
+    return markdown(["pictures of", "matches", *measured], rows, names=2)
 
 
 def table(records: Iterable[Record]) -> str:
@@ -196,7 +197,7 @@ def table(records: Iterable[Record]) -> str:
         )
     headings = ["pictures of", "set", "matches", "placed", "rotation, median", "largest"]
     headings += ["position", "focal length", "CPU s", "PSNR", "with published cameras"]
-    return pages.table(headings, rows, left=3)
+    return markdown(headings, rows, names=3)
 
 
 def main() -> None:

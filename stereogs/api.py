@@ -10,8 +10,9 @@
         register("flat", Flat)
 
 All names of this module are stable: a release that breaks one increases `API_VERSION`, and the release
-before it warns. `registry.toolkit`, `registry.testing` and `core_rasterizer` may change with a note in the
-changelog. All other modules are internal.
+before it warns. `stereogs.testing`, `stereogs.command_line.arguments` and `.output`, `registry.runs`,
+`registry.toolkit` and the other names of `core_rasterizer` may change with a note in the changelog. All other
+modules are internal.
 """
 
 from typing import TYPE_CHECKING
@@ -19,6 +20,14 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from core_rasterizer import (
+        Camera as Camera,
+        Device as Device,
+        Edit as Edit,
+        ExplainedError as ExplainedError,
+        GaussianReader as GaussianReader,
+        Rendering as Rendering,
+    )
     from registry import (
         API_VERSION as API_VERSION,
         Appearance as Appearance,
@@ -89,6 +98,7 @@ if TYPE_CHECKING:
         RunningTask as RunningTask,
         TrainingTask as TrainingTask,
     )
+    from registry.runs.options import RunOptions as RunOptions
 
     from .command_line.command import (
         Command as Command,

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from benchmarks.peer import disagreement
     from benchmarks.priors_depth import point_errors, reconstructed
     from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
-    from core_rasterizer.device import Description, Program, Trial, Variant
+    from core_rasterizer.device import Description, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
     from registry.calls.policy import checked_plugins
     from registry.contract.checks.answers import check_sample

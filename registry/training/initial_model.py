@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core_rasterizer import Device, Engine, Gaussians, Model, engine_on
+from core_rasterizer import Device, Engine, Gaussians, Model, OpenCLEngine
 
 from ..contract.scene import PointCloud
 from ..pipeline.training_settings import TrainingSettings
@@ -41,7 +41,8 @@ def new_model(gaussians: Gaussians, settings: TrainingSettings, device: Device |
     Raises:
         GaussianError: a parameter is not finite.
     """
-    return engine_on(device).model(
+    engine = OpenCLEngine(device) if isinstance(device, Device) else device
+    return engine.model(
         gaussians,
         dilation=settings.dilation,
         compensate_dilation=settings.compensate_dilation,

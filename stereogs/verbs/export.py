@@ -176,7 +176,8 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
         attributes = {"confidence": values[~left_out]}
     if left_out.all():
         where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
-        raise RunError("no Gaussian would remain", where=where, fix="leave out less")
+        fix = "name fewer kinds with --without, or choose a lower --min-confidence"
+        raise RunError("all Gaussians would be left out", where=where, fix=fix)
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
     model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
     return GaussianReader(model, attributes)

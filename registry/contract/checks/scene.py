@@ -289,7 +289,7 @@ def _without_equal_poses(scene: Scene) -> Scene:
         first, second = copies[0]
         raise SceneError(
             f"the training views {first.name!r} and {second.name!r} have the same pose: "
-            "two photographs from one place say nothing about depth",
+            "photographs from one position contain no depth",
             where=scene.name,
             fix="leave one of them out, or correct its pose",
         )

@@ -13,6 +13,7 @@ from core_rasterizer import Device, ExplainedError
 from registry import RunError
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
+from registry.runs.outputs import renew
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
 from tests.host import (
@@ -118,7 +119,7 @@ def test_eval_refuses_another_metric_and_compare_separates_the_runs(
     other = acme.installed("3.0", 0.75)
     run = open_run(first, plugins=other, device=device, to_train=False)
     with pytest.raises(RunError, match=r"metrics.acme_score is now of acme 3\.0"):
-        run.renew()
+        renew(run, run.folder_or_refuse())
     trained(other, device, second)
     runs = [read_run(path) for path in (first, second)]
     (_, _), (_, reason) = comparable_groups(runs)
@@ -126,8 +127,12 @@ def test_eval_refuses_another_metric_and_compare_separates_the_runs(
     assert "acme 3.0" in reason
     for label, version in zip(labels(runs), ("1.0", "3.0"), strict=True):
         assert f"packages.regularizers.acme_term=acme {version}" in label
-    assert run.renew(accept_changed_plugins=True)["test"] == {"acme_score": 0.75}
-    assert run.renew()["packages"]["metrics.acme_score"].startswith("acme 3.0")
+    assert renew(run, run.folder_or_refuse(), accept_changed_plugins=True)["test"] == {
+        "acme_score": 0.75
+    }
+    assert renew(run, run.folder_or_refuse())["packages"]["metrics.acme_score"].startswith(
+        "acme 3.0"
+    )
 
 
 def test_a_finished_run_is_used_without_the_plugins_that_trained_it(
@@ -141,7 +146,7 @@ def test_a_finished_run_is_used_without_the_plugins_that_trained_it(
     assert list(run.pipeline.missing) == ["regularizers.acme_term", "metrics.acme_score"]
     assert run.render(run.scene.test[0].camera).rgb.any()
     with pytest.raises(ExplainedError, match="no plugin offers the metric 'acme_score'") as caught:
-        run.renew()
+        renew(run, run.folder_or_refuse())
     assert "the run was written with" in caught.value.fix
     assert "acme 1.0" in caught.value.fix
     with pytest.raises(ExplainedError, match="no plugin offers the regularizer") as caught:

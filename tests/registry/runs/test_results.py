@@ -17,6 +17,7 @@ from registry import RunError, SceneError, Unavailable
 from registry.runs.folder import RunFolder
 from registry.runs.opening import open_run
 from registry.runs.options import RunOptions
+from registry.runs.outputs import renew
 from registry.runs.results import score_of
 from registry.runs.run import Run
 from registry.runs.training_run import resume, start
@@ -104,7 +105,7 @@ def test_failures_after_training_are_recorded_and_other_results_kept(
     said = capsys.readouterr().err
     assert f"stereogs: {name}: " in said
     assert f"stereogs eval {folder.path}" in said.replace("\n", "")
-    mended = open_run(folder.path, plugins=toys, device=device).renew()
+    mended = renew(open_run(folder.path, plugins=toys, device=device), folder)
     assert mended["failures"] == []
     assert (mended["exports"], mended["reports"]) == (["exports/count.txt"], ["report.txt"])
     assert mended["test"]["psnr"] > 0
@@ -169,7 +170,7 @@ def test_eval_without_results_knows_what_the_folder_knows(
     folder = train().folder_or_refuse()
     before = folder.results()
     (folder.path / "results.json").unlink()
-    after = open_run(folder.path, plugins=toys, device=device).renew()
+    after = renew(open_run(folder.path, plugins=toys, device=device), folder)
     assert after["initialization"] == before["initialization"]
     assert after["seconds"] == before["seconds"] > 0
     assert after["stages"]["initialization"] == before["stages"]["initialization"]
@@ -187,7 +188,7 @@ def test_eval_refuses_a_checkpoint_older_than_the_results(
     with pytest.raises(
         RunError, match="of iteration 2, the newest intact checkpoint of 0"
     ) as caught:
-        run.renew()
+        renew(run, folder)
     assert "stereogs resume" in caught.value.fix
     assert folder.results() == before
     options = RunOptions(device=device, progress=False)

@@ -161,13 +161,13 @@ def test_changed_inputs_are_refused_unless_accepted(
     again = resume(folder.path, replace(quiet, accept_changed_inputs=True), toys)
     assert again.finished
     assert folder.results()["changed_inputs"] == ["the photograph of view0"]
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+    assert open_run(folder.path, plugins=toys, device=device).finished
 
 
 def test_a_run_without_digests_can_be_opened(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     (folder.path / "inputs.json").unlink()
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+    assert open_run(folder.path, plugins=toys, device=device).finished
 
 
 EDITS = {

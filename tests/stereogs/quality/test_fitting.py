@@ -58,7 +58,7 @@ class Machine:
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
         monkeypatch.setattr(rehearsal, "evaluate", evaluated)
-        monkeypatch.setattr("registry.runs.run.evaluate", evaluated)
+        monkeypatch.setattr("registry.runs.trained_scene.evaluate", evaluated)
 
     def budget(self, seconds: float) -> Budget:
         return Budget(seconds, self.now, lambda: self.now)
