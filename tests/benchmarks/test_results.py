@@ -160,7 +160,7 @@ def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-PAGES = {one.target or one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
+PAGES = {c.target or c.name: DOCS / c.page for c in campaigns.CAMPAIGNS.values() if c.page}
 PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, where_seconds_go)}
 
 
@@ -182,7 +182,7 @@ def campaign_of(
     monkeypatch.setattr(records, "RECORDS", place / "records")
     monkeypatch.setenv("STEREOGS_DATA", str(place))
     monkeypatch.setattr(sys, "argv", ["results", *options])
-    return Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
+    return Campaign("results", "All", [], lambda _: runs, tables, "x.md", summary)
 
 
 def test_a_failed_run_is_reported(
