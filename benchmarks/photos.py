@@ -60,7 +60,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Record:
+class CameraRecord:
     """Result of one case.
 
     Args:
@@ -94,7 +94,7 @@ def cases() -> Iterator[tuple[str, str, bool]]:
             yield scene, chosen, True
 
 
-def measure(scene: str, chosen: str, networks: bool) -> Record | None:
+def measure(scene: str, chosen: str, networks: bool) -> CameraRecord | None:
     """Estimate the cameras of a set of pictures; None if the scene has too few."""
     photos, published = pictures(scene)
     count = int(chosen.split()[-1])
@@ -116,7 +116,7 @@ def measure(scene: str, chosen: str, networks: bool) -> Record | None:
             errors = _errors(model, photos, published)
             true = [published[photo.path.stem] for photo in photos]
             psnr = psnr_of_both(model, photos, true)
-    return Record(scene, chosen, networks, count, placed, errors, seconds, psnr)
+    return CameraRecord(scene, chosen, networks, count, placed, errors, seconds, psnr)
 
 
 def _errors(
@@ -146,17 +146,17 @@ def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def read_records() -> dict[tuple[str, str, bool], Record]:
+def read_records() -> dict[tuple[str, str, bool], CameraRecord]:
     """Return the records by case."""
     found = {}
     for values in lines(FILE):
         errors = values.pop("errors")
-        record = Record(**values, errors=Errors(**errors) if errors else None)
+        record = CameraRecord(**values, errors=Errors(**errors) if errors else None)
         found[record.case] = record
     return found
 
 
-def table(records: Iterable[Record]) -> str:
+def table(records: Iterable[CameraRecord]) -> str:
     """Return every record with all of its errors."""
     rows = []
     for record in records:
@@ -192,7 +192,7 @@ def main() -> None:
         scene, chosen, networks = case
         plain = records.get((scene, chosen, False))
         if networks and plain is not None and plain.placed == plain.pictures:
-            record: Record | None = replace(plain, networks=True)  # they are not asked
+            record: CameraRecord | None = replace(plain, networks=True)  # they are not asked
         else:
             print(*case, flush=True)
             record = measure(*case)

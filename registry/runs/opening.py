@@ -46,7 +46,7 @@ FAILURES = "failures"
 _log = logging.getLogger(__name__)
 
 
-def open_run(
+def load_run(
     path: Path,
     *,
     plugins: Plugins,

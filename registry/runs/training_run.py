@@ -23,7 +23,7 @@ from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.trainer import Iteration, Trainer
 from .evaluation import evaluate, quick
 from .folder import ChooseFolder, RunFolder, refuse_occupied
-from .opening import keep_failure, open_run
+from .opening import keep_failure, load_run
 from .options import RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
 from .outputs import finish, record_changed_inputs
@@ -46,7 +46,9 @@ _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 _log = logging.getLogger(__name__)
 
 
-def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None) -> Run:
+def start_run(
+    pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
+) -> Run:
     """Train a pipeline. Nothing is written before the scene, the points and the Gaussians are valid.
 
     Args:
@@ -66,7 +68,7 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
 def train_prepared(
     initial: Prepared, options: RunOptions, out: Path | ChooseFolder | None = None
 ) -> Run:
-    """Train from the first iteration, within `running`; arguments and errors as for `start`."""
+    """Train from the first iteration, within `running`; arguments and errors as for `start_run`."""
     run, trainer, metrics = _new_run(initial)
     writing = ""
     if out is not None:
@@ -81,7 +83,7 @@ def train_prepared(
     return run
 
 
-def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
+def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
     """Continue a run from its checkpoint, to the same end as if it had never stopped.
 
     Raises:
@@ -91,7 +93,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
     folder = RunFolder.existing(path)
     with running(options) as active, folder.locked():
         device = find_device(options.device)
-        run = open_run(
+        run = load_run(
             path,
             plugins=plugins,
             device=device,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks import campaign, campaigns, error_report, priors, records, where_seconds_go
+from benchmarks import campaign, campaigns, next_views_page, records
 from benchmarks.campaign import Campaign
 from benchmarks.pages import DOCS, marks, rewrite
 from benchmarks.records import RECORDS, Record, read, save
@@ -161,7 +161,7 @@ def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
 
 
 PAGES = {c.target or c.name: DOCS / c.page for c in campaigns.CAMPAIGNS.values() if c.page}
-PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, where_seconds_go)}
+PAGES |= {next_views_page.TARGET: next_views_page.PAGE}
 
 
 @pytest.mark.parametrize("target", PAGES)
