@@ -10,9 +10,8 @@
         register("flat", Flat)
 
 All names of this module are stable: a release that breaks one increases `API_VERSION`, and the release
-before it warns. `stereogs.testing`, `stereogs.command_line.arguments` and `.output`, `registry.runs`,
-`registry.toolkit` and the other names of `core_rasterizer` may change with a note in the changelog. All other
-modules are internal.
+before it warns. `stereogs.testing`, `registry.runs`, `registry.toolkit` and the other names of
+`core_rasterizer` may change with a note in the changelog. All other modules are internal.
 """
 
 from typing import TYPE_CHECKING
@@ -99,11 +98,15 @@ if TYPE_CHECKING:
         TrainingTask as TrainingTask,
     )
     from registry.runs.options import RunOptions as RunOptions
+    from registry.runs.run import Run as Run
 
+    from .command_line.arguments import add_run as add_run, open_given as open_given
     from .command_line.command import (
         Command as Command,
         TrainOption as TrainOption,
         TrainRequest as TrainRequest,
     )
+    from .command_line.output import console as console
+    from .session import open_run as open_run
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)
