@@ -1,7 +1,7 @@
 """Accuracy of prior models: `python -m benchmarks.priors`, which `make bench-priors` runs.
 
-Prints its tables; with `--write-docs` also writes `benchmarks/tables/priors.md`. Learned matching features and
-IterMVS are measured if STEREOGS_MODELS holds `FEATURES` and `NETWORK`.
+Prints its tables; with `--write-docs` also writes `benchmarks/tables/priors.md`. Learned matching features
+and IterMVS are measured if STEREOGS_MODELS holds `FEATURES` and `NETWORK`.
 """
 
 from __future__ import annotations
