@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from registry.runs.evaluation import Picture
     from registry.runs.run import Run
 
+    from .quality.fitting import Fit
+
 __all__ = [
     "build_pipeline",
     "load_scene",
@@ -193,6 +195,7 @@ def train(
     options: RunOptions | None = None,
     *,
     out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
+    fit: Fit | None = None,
     **changes: Any,
 ) -> Run:
     """Train a pipeline.
@@ -201,6 +204,7 @@ def train(
         pipeline: a pipeline, or any source that `build_pipeline` accepts.
         options: how the training runs.
         out: the run folder, new or empty, or a function that returns it; None writes nothing to disk.
+        fit: chooses the size of photographs, the pipeline and its length (`within`).
         changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
 
     Returns:
@@ -221,7 +225,7 @@ def train(
     from registry.runs.training_run import start
 
     folder = Path(out).expanduser() if isinstance(out, str | os.PathLike) else out
-    return start(checked, options, folder)
+    return (start if fit is None else fit.train)(checked, options, folder)
 
 
 def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:

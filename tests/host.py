@@ -44,14 +44,14 @@ if TYPE_CHECKING:
     )
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
-    from registry.pipeline.settings_check import escape_variables, plain
+    from registry.pipeline.settings_check import escape_variables, plain, validate_settings
     from registry.pipeline.training_settings import LearningRates, TrainingSettings
     from registry.pipeline.yaml_source import Place, parse as parse_yaml, to_yaml
     from registry.priors.prior_cache import load_estimate, save_estimate
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
     from registry.runs.opening import open_run
-    from registry.runs.options import InitialState, Plan
+    from registry.runs.preparation import Prepared
     from registry.runs.progress import MetricsLog, TrainingProgress
     from registry.runs.results import Failure, Results, SceneRecord
     from registry.runs.training_run import start
@@ -92,6 +92,7 @@ if TYPE_CHECKING:
         choose_runner,
         train_all,
     )
+    from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.new_plugin.package_files import KINDS
     from stereogs.verbs.other_processes import refuse_different_answers

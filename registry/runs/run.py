@@ -87,6 +87,7 @@ class Run:
         changed: inputs that changed since the run began, and were accepted.
         identity: unique identifier of the run; "" without a folder.
         saved_iteration: iteration of the newest checkpoint in the folder.
+        interrupted: whether Ctrl-C or SIGTERM stopped it.
     """
 
     pipeline: Pipeline
@@ -104,6 +105,7 @@ class Run:
     changed: tuple[str, ...] = ()
     identity: str = ""
     saved_iteration: int | None = None
+    interrupted: bool = False
     _scores: tuple[int, dict[str, Scores]] | None = None
 
     @cached_property

@@ -49,8 +49,8 @@ class Demo(Command):
         with showing(output):
             from registry.discovery import Plugins
             from registry.pipeline.pipeline import load_pipeline
+            from registry.runs.folder import in_runs
             from registry.runs.results import RENDERS
-            from registry.runs.training_run import in_runs
             from registry.system.files import replacing
             from registry.toolkit.drawing import COMPARISONS
 

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from registry import RunError
-from registry.runs.folder import RunFolder
+from registry.runs.folder import RunFolder, in_runs
 from registry.runs.progress import MetricsLog
-from registry.runs.training_run import in_runs
 from stereogs import Iteration
 
 
