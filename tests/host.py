@@ -86,12 +86,7 @@ if TYPE_CHECKING:
     from stereogs.experiments.planning.matrix import plan_of, read_matrix
     from stereogs.experiments.planning.plan import Plan as MatrixPlan
     from stereogs.experiments.running.folder import ExperimentFolder
-    from stereogs.experiments.running.pool import (
-        Outcome,
-        PoolProgress,
-        choose_runner,
-        train_all,
-    )
+    from stereogs.experiments.running.pool import Outcome, PoolProgress, choose_runner, train_all
     from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.new_plugin.package_files import KINDS
