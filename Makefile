@@ -117,7 +117,7 @@ bench-confidence: $(VENV)/.dev ## how well confidence predicts errors of test vi
 	$(BIN)/python -m benchmarks.confidence --write-docs
 
 bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
-	$(BIN)/python -m benchmarks.skips --write-docs
+	$(BIN)/python -m benchmarks.campaigns skips --write-docs
 
 profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs

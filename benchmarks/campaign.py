@@ -102,6 +102,7 @@ class Campaign(Generic[AnyTraining]):
         summary: Makes the summary from the records.
         tables: Makes all tables from the records and the number of planned trainings.
         finish: Called at the end with the records and the folder of outputs.
+        picture: Draws the records into a folder: that of outputs, or that of `docs`.
         target: Target of the Makefile.
     """
 
@@ -113,6 +114,7 @@ class Campaign(Generic[AnyTraining]):
     summary: Callable[[Sequence[Record[AnyTraining]]], str]
     tables: Callable[[Sequence[Record[AnyTraining]], int], str]
     finish: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
+    picture: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
     target: str = ""
 
     def main(self, description: str | None) -> int:
@@ -149,10 +151,12 @@ class Campaign(Generic[AnyTraining]):
         found = records.read(runs, folder.kept)
         text = self.tables(found, len(runs))
         console.print(text)
-        if arguments.write_docs:
+        if arguments.write_docs and found:
             self.write_docs(found, text)
         if self.finish is not None:
             self.finish(found, folder.path)
+        if self.picture is not None and found:
+            self.picture(found, DOCS / "images" if arguments.write_docs else folder.path)
         if failures:
             run, message = next(iter(failures.items()))
             raise RunError(

@@ -1,8 +1,8 @@
-"""Three campaigns of trainings: `python -m benchmarks.campaigns NAME`, which `make NAME` runs.
+"""Four campaigns of trainings: `python -m benchmarks.campaigns NAME`, which `make NAME` runs.
 
 `methods`: every published method under one protocol. `parts`: StereoGS's parts with networks, one by one.
-`results`: four pipelines on every data set. All are resumable (`benchmarks.campaign`). Pictures of the test
-views are in `benchmarks/out/NAME`.
+`results`: four pipelines on every data set. `skips`: time and PSNR of each shortcut of a pipeline.
+All are resumable (`benchmarks.campaign`). Pictures of the test views are in `benchmarks/out/NAME`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from benchmarks import (
     parts_plan,
     results_page,
     results_plan,
+    skips_page,
+    skips_plan,
 )
 from benchmarks.campaign import Campaign
 from benchmarks.results_picture import draw_first_views
@@ -54,7 +56,18 @@ RESULTS = Campaign(
     tables=results_page.tables,
     finish=draw_first_views,
 )
-CAMPAIGNS: dict[str, Campaign[Any]] = {one.name: one for one in (METHODS, PARTS, RESULTS)}
+SKIPS = Campaign(
+    name="skips",
+    title="Shortcuts of weightfree_fast",
+    data=[case.data for case in skips_plan.CASES.values()],
+    plan=skips_plan.planned_runs,
+    page="run_time.md",
+    summary=skips_page.summary,
+    tables=skips_page.tables,
+    picture=skips_page.draw,
+    target="bench-skips",
+)
+CAMPAIGNS: dict[str, Campaign[Any]] = {one.name: one for one in (METHODS, PARTS, RESULTS, SKIPS)}
 
 if __name__ == "__main__":
     if sys.argv[1:2] not in [[name] for name in CAMPAIGNS]:

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from benchmarks.peer import disagreement
     from benchmarks.priors_depth import point_errors, reconstructed
     from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
-    from core_rasterizer.device import Description, Program, Trial, Variant
+    from core_rasterizer.device import Description, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
-    from registry.calls.read_only_guard import checked_plugins
+    from registry.calls.policy import checked_plugins
     from registry.contract.checks.answers import check_sample
     from registry.contract.hook_points import (
         HOOK_POINTS,
@@ -35,13 +35,7 @@ if TYPE_CHECKING:
     from registry.messages.visible_text import is_plain_name
     from registry.pipeline.faults import faults, needs
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
-    from registry.pipeline.pipeline import (
-        Item,
-        build_pipeline,
-        default_schedule,
-        load_pipeline,
-        parse_pipeline,
-    )
+    from registry.pipeline.pipeline import Item, default_schedule, load_pipeline, parse_pipeline
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
     from registry.pipeline.settings_check import escape_variables, plain, validate_settings
@@ -50,11 +44,11 @@ if TYPE_CHECKING:
     from registry.priors.prior_cache import load_estimate, save_estimate
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
-    from registry.runs.opening import open_run
+    from registry.runs.opening import load_run
     from registry.runs.preparation import Prepared
     from registry.runs.progress import MetricsLog, TrainingProgress
     from registry.runs.results import Failure, Results, SceneRecord
-    from registry.runs.training_run import start
+    from registry.runs.training_run import start_run
     from registry.system.files import jsonable, write_json
     from registry.system.lock import locked
     from registry.system.memory import peak_memory_mb, resident_bytes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,23 +9,21 @@ from time import monotonic
 
 from core_rasterizer import Gaussians
 
-from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
+from ..calls.blame import blame
+from ..calls.policy import checked_plugins, initialization
+from ..calls.process_state import one_torch_thread
+from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
-from ..contract.checks.scene import check_maps, validate
+from ..contract.checks.scene import validate
 from ..contract.scene import PointCloud, Scene
 from ..pipeline.faults import faults, refuse_missing_priors
 from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import answer_of
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
 from ..toolkit.views.scene_facts import summary, warnings
 from ..training.initial_model import initial_gaussians
-from ..training.trainer import one_torch_thread
 from .options import RunOptions, find_device
-
-QUICK = 0.1
-"""Longest initialization that is repeated if plugins are not checked, in seconds."""
 
 
 @contextmanager
@@ -125,9 +122,7 @@ def prepare(loaded: Loaded, options: RunOptions) -> Prepared:
         console.print(f"warning: {warning}")
     initializer, known = parts.one("initializer"), scene.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
-    with initializer.at_work(lent=of_scene(known)):
-        longest, given = math.inf if are_checked() else QUICK, (known, parts.priors)
-        points = answer_of(initializer.component, "initialize", given, twice=True, longest=longest)
-        check_maps(points.maps, known)
+    points = initializer.call(known, parts.priors, checks=initialization(), guard=of_scene(known))
+    with blame(initializer.item):
         gaussians = initial_gaussians(points, pipeline.training)
     return Prepared(parts, scene, points, gaussians, loaded.seconds, monotonic() - begin)

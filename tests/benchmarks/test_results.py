@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks import campaign, campaigns, error_report, priors, records, skips, where_seconds_go
+from benchmarks import campaign, campaigns, error_report, priors, records, where_seconds_go
 from benchmarks.campaign import Campaign
 from benchmarks.pages import DOCS, marks, rewrite
 from benchmarks.records import RECORDS, Record, read, save
@@ -161,7 +161,7 @@ def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
 
 
 PAGES = {one.target or one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
-PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, skips, where_seconds_go)}
+PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, where_seconds_go)}
 
 
 @pytest.mark.parametrize("target", PAGES)

@@ -25,6 +25,8 @@ MARGIN = 1.1
 """Factor that widens bounds from points: points are sparse and rarely cover the extremes."""
 FOCUS_FACTOR = 5.0
 """Content is assumed from 1/5 to 5 times the distance of the point that the cameras look at."""
+SAME_CENTER = 1e-9
+"""Centres nearer to each other than this, relative to their coordinates, differ by rounding only."""
 BASELINES = (1.0, 100.0)
 """Bounds of cameras with parallel axes, in units of the largest distance between two cameras."""
 
@@ -94,4 +96,6 @@ def _from_baselines(centers: NDArray[np.float64]) -> Bounds | None:
     import numpy as np
 
     largest = float(np.linalg.norm(centers[:, None] - centers[None], axis=2).max())
-    return (BASELINES[0] * largest, BASELINES[1] * largest) if largest > 0 else None
+    if largest <= SAME_CENTER * max(1.0, float(np.abs(centers).max())):
+        return None
+    return BASELINES[0] * largest, BASELINES[1] * largest

@@ -162,7 +162,7 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
 
 
 def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
-    told = sum(one.reason != COMPANION for one in files)
+    told = sum(file.reason != COMPANION for file in files)
     if told:
         lines = left_out_lines(folder, files)
         _log.warning("%s left out:\n  %s", counted(told, "file"), "\n  ".join(lines))

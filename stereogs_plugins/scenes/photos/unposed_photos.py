@@ -75,8 +75,8 @@ def read_folder(folder: Path) -> PictureFolder:
     read = in_parallel(
         lambda path: _read(path, path.relative_to(folder).as_posix()), paths, stage="reading"
     )
-    photos = [one for one in read if isinstance(one, UnposedPhoto)]
-    left_out += [one for one in read if isinstance(one, LeftOut)]
+    photos = [photo for photo in read if isinstance(photo, UnposedPhoto)]
+    left_out += [file for file in read if isinstance(file, LeftOut)]
     original: dict[str, UnposedPhoto] = {}
     for photo in sorted(photos, key=lambda photo: len(photo.name)):
         original.setdefault(photo.digest, photo)
@@ -129,16 +129,13 @@ def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
     """Focal length in units of the longer side, from the 35 mm equivalent or the sensor's pixel density."""
     longer = max(size)
     equivalent, millimetres = _number(exif, _FOCAL_35MM), _number(exif, _FOCAL_MM)
-    density, unit = (
-        _number(exif, _FOCAL_PLANE_DENSITY),
-        _UNIT_MM.get(exif.get(_FOCAL_PLANE_UNIT, 2)),
-    )
+    density, unit = _number(exif, _FOCAL_PLANE_DENSITY), exif.get(_FOCAL_PLANE_UNIT, 2)
     if equivalent:
         focal = equivalent / _DIAGONAL_35MM * math.hypot(*size) / longer
-    elif millimetres and density and unit:
+    elif millimetres and density and unit in _UNIT_MM:
         # The density refers to the original photograph, which may have been larger.
         taken = max(_number(exif, _PIXELS_WIDE) or longer, longer)
-        focal = millimetres * density / unit / taken
+        focal = millimetres * density / _UNIT_MM[unit] / taken
     else:
         return None
     return focal if EXIF_FOCAL_RANGE[0] < focal < EXIF_FOCAL_RANGE[1] else None

@@ -30,7 +30,7 @@ from tests.host import (
     main,
     parse_pipeline,
     parse_yaml,
-    start,
+    start_run,
 )
 from tests.stereogs.experiments.ablating import PIPELINE, write
 
@@ -142,7 +142,7 @@ class _Task(RunningTask):
         pipeline = parse_pipeline(self._task.pipeline, self._runner.toys)
         if pipeline.training.seed == 1:
             return "seed 1 is not for me"
-        start(
+        start_run(
             pipeline,
             RunOptions(device=self._runner.context.device, progress=False),
             self._task.folder,

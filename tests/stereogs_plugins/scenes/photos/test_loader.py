@@ -104,15 +104,12 @@ def test_altered_photographs_are_named(
     assert "cropped or zoomed, as it seems: train_01.jpg, train_03.jpg" in caplog.text
 
 
-def test_few_photographs_all_train(folder: Path, entry: Path) -> None:
-    scene = load(folder)
+def test_few_photographs_are_reduced_and_all_train(folder: Path, entry: Path) -> None:
+    scene = load(folder, max_size=120)
     assert (len(scene.train), len(scene.test)) == (5, 0)
-
-
-def test_photographs_are_reduced(folder: Path, entry: Path) -> None:
-    view = load(folder, max_size=120).train[0]
-    assert max(view.image.shape[:2]) <= 130  # cropping by undistortion changes it a little
-    assert "resized from 360x270 to 120x90" in str(load(folder, max_size=120).fact("changed"))
+    # Cropping by undistortion changes the size a little.
+    assert max(scene.train[0].image.shape[:2]) <= 130
+    assert "resized from 360x270 to 120x90" in str(scene.fact("changed"))
 
 
 def test_transparent_pictures_are_laid_on_the_background(
@@ -145,22 +142,27 @@ def test_the_contract(folder: Path, entry: Path) -> None:
     check(PhotosScene, path=folder)
 
 
-def test_folders_that_are_recognized(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "recognized"),
+    [
+        (".hidden", True),
+        ("Thumbs.db", True),
+        ("notes.txt", True),
+        ("IMG_1.DNG", True),
+        ("transforms.json", False),
+        ("cameras.txt", False),
+    ],
+)
+def test_folders_that_are_recognized(file: str, recognized: bool, tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
     write_pictures(tmp_path, 1)
-    (tmp_path / ".hidden").touch()
+    (tmp_path / file).touch()
+    assert PhotosScene.recognizes(tmp_path) is recognized
+
+
+def test_a_folder_with_a_link_to_a_folder_is_not_recognized(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 1)
     assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "Thumbs.db").touch()
-    assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "notes.txt").touch()
-    (tmp_path / "IMG_1.DNG").touch()
-    assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "transforms.json").touch()
-    assert not PhotosScene.recognizes(tmp_path)
-    (tmp_path / "transforms.json").unlink()
-    (tmp_path / "cameras.txt").touch()
-    assert not PhotosScene.recognizes(tmp_path)
-    (tmp_path / "cameras.txt").unlink()
     (tmp_path / "sparse").symlink_to(tmp_path.parent)
     assert not PhotosScene.recognizes(tmp_path)
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from PIL import Image
 
+from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import read_model
+from stereogs_plugins.scenes.photos.photogrammetry.dense.refinement import Refined
 from stereogs_plugins.scenes.photos.photogrammetry.focal_lengths import is_plausible
 from stereogs_plugins.scenes.photos.photogrammetry.mapping import Piece
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
@@ -27,8 +30,11 @@ def place(scene: str, numbers: tuple[int, ...], folder: Path, cropped: int | Non
     return found.pieces[0]
 
 
-def test_forward_facing_pictures_are_placed(tmp_path: Path) -> None:
+def test_forward_facing_pictures_are_placed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Three of llff_flower: no pair of them is 16 degrees apart, COLMAP's own minimum."""
+    monkeypatch.setattr(structure_from_motion, "refine", lambda model, *_: Refined(model, True))
     piece = place("llff_flower", (0, 16, 33), tmp_path)
     assert piece.members == [0, 1, 2]
     assert piece.folder.parent.name == "incremental_2"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import logging
-import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -17,60 +16,57 @@ from torch import Generator, Tensor
 
 from core_rasterizer import GaussianModel, GaussianReader
 
-from ..calls.process_state import own_random_numbers
 from ..contract.prior import Prior
 from ..contract.step import Step
 from ..errors import PluginError
-
-_RECORDS = ("facts", "pictures")
-"""Parts of answers that may differ: they do not change the Gaussians, and facts may be seconds."""
+from .process_state import own_random_numbers
 
 
 def answer_of(
     component: Any,
     method: str,
     given: tuple[Any, ...],
+    repeat_within: float | None = None,
     *,
-    twice: bool,
     again: tuple[Any, ...] | None = None,
-    longest: float = math.inf,
 ) -> Any:
     """Return a component's answer to a call.
 
     Args:
         given: the arguments.
-        twice: ask a copy of the component (`copy.deepcopy`) too, and compare. If the component cannot be
-            copied, or its copy fails, nothing is compared.
+        repeat_within: repeat the call on a copy of the component (`copy.deepcopy`), and compare, if the first
+            took at most so many seconds; None: do not. If the component cannot be copied, or its copy fails,
+            nothing is compared.
         again: the arguments for the copy; None: the same.
-        longest: seconds; the copy is not asked if the call takes longer.
 
     Raises:
         PluginError: the answers differ.
     """
-    if not twice:
+    if repeat_within is None:
         return getattr(component, method)(*given)
-    twin, before = _copy_of(component, given)
+    duplicate, before = _copy_of(component, given)
     began = time.monotonic()
     answer = getattr(component, method)(*given)
-    if twin is None or time.monotonic() - began > longest:
+    if duplicate is None or time.monotonic() - began > repeat_within:
         return answer
     after, path = [(generator, generator.get_state()) for generator, _ in before], None
     shown = logging.root.manager.disable
-    _occupied = [object() for _ in range(64)]  # else a new object has the address of a freed one
-    time.sleep(0.001)  # else two readings of a clock may round to one answer
+    # Python reuses the addresses of freed objects: without these, an answer that holds an id() could repeat.
+    _occupied = [object() for _ in range(64)]
+    time.sleep(0.001)  # so that two readings of a clock do not round to one answer
     try:
         logging.disable()
         for generator, state in before:
             generator.set_state(state)
         with own_random_numbers(component.context.seed):
-            path = first_difference(answer, getattr(twin, method)(*(again or given)))
+            path = first_difference(answer, getattr(duplicate, method)(*(again or given)))
     except Exception:  # it cannot be repeated
         return answer
     finally:
         logging.disable(shown)
         for generator, state in after:
             generator.set_state(state)
-    if path is not None and not path.startswith(_RECORDS):
+    if path is not None and not is_record(path):
         raise PluginError(
             f"it gave another answer when the same call was repeated{path and f' ({path})'}: no run could "
             "be repeated or resumed",
@@ -92,6 +88,11 @@ def _copy_of(component: Any, given: tuple[Any, ...]) -> tuple[Any, list[tuple[Ge
     with suppress(Exception):
         return copy.deepcopy(component, {id(value): value for value in [*shared, *priors]}), states
     return None, states
+
+
+def is_record(path: str) -> bool:
+    """Whether a part of an answer may differ: it does not change the Gaussians, and facts may be seconds."""
+    return path.startswith(("facts", "pictures"))
 
 
 def first_difference(first: Any, second: Any) -> str | None:

@@ -4,9 +4,8 @@ import pytest
 
 from core_rasterizer import CameraError
 from registry import PluginError, SceneError
-from registry.pipeline.blame import blame
-from registry.pipeline.pipeline import Item, parse_pipeline
-from tests.host import Plugins
+from registry.calls.blame import blame
+from tests.host import Item, Plugins, parse_pipeline
 
 PIPELINE = "name: a\nscene: toy_scene\ninitializer: toy_points\nmetrics:\n  - psnr\n"
 

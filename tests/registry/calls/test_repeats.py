@@ -10,7 +10,7 @@ import pytest
 
 from core_rasterizer import Device
 from registry import Context, Metric, PluginError, Settings
-from registry.pipeline.repeats import answer_of
+from registry.calls.repeats import answer_of
 
 
 class Counting(Metric[Settings]):
@@ -34,8 +34,8 @@ def counting(device: Device) -> Counting:
 
 
 def test_state_of_the_component_changes_once(counting: Counting) -> None:
-    assert answer_of(counting, "measure", ("own",), twice=True) == 1
-    assert answer_of(counting, "measure", ("own",), twice=True) == 2
+    assert answer_of(counting, "measure", ("own",), repeat_within=math.inf) == 1
+    assert answer_of(counting, "measure", ("own",), repeat_within=math.inf) == 2
     assert Counting.total == 4
 
 
@@ -43,16 +43,16 @@ def test_state_of_the_component_changes_once(counting: Counting) -> None:
 def test_another_answer_is_refused(counting: Counting, kind: str) -> None:
     """Two readings of the clock without a pause would be equal."""
     with pytest.raises(PluginError, match="another answer when the same call was repeated"):
-        answer_of(counting, "measure", (kind,), twice=True)
+        answer_of(counting, "measure", (kind,), repeat_within=math.inf)
 
 
 def test_a_long_call_is_not_repeated(counting: Counting) -> None:
-    assert answer_of(counting, "measure", ("total",), twice=True, longest=0.0) == 1
+    assert answer_of(counting, "measure", ("total",), repeat_within=0.0) == 1
 
 
 def test_messages_of_the_repetition_are_not_shown(
     counting: Counting, caplog: pytest.LogCaptureFixture
 ) -> None:
-    answer_of(counting, "measure", ("own",), twice=True)
+    answer_of(counting, "measure", ("own",), repeat_within=math.inf)
     assert caplog.messages == ["called"]
     assert logging.root.manager.disable == logging.NOTSET
