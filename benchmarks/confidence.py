@@ -30,9 +30,10 @@ from benchmarks.left_out_scenes import OVERRIDES
 from benchmarks.records import RECORDS, append, lines
 from benchmarks.trainings import PIPELINES
 from registry import Scene, View
+from registry.calls.process_state import one_torch_thread
 from registry.runs.run import Run
 from registry.toolkit.views import predicted_psnr
-from registry.training.trainer import one_torch_thread
+from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 
 FILE = RECORDS / "confidence.jsonl"
@@ -131,7 +132,7 @@ def tables(records: Sequence[Mapping[str, Any]]) -> str:
         rows += [[case, name, *_row(its, name)] for name in ESTIMATORS]
     rows += [["all", name, *_row(records, name)] for name in ESTIMATORS]
     headings = ["scene-views", "estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank", "runs"]
-    text = pages.table(headings, rows, left=2)
+    text = markdown(headings, rows, names=2)
     return f"{text}\nReliability of `{OURS}`, all scenes:\n\n{_reliability(records)}"
 
 
@@ -154,13 +155,13 @@ def _reliability(records: Sequence[Mapping[str, Any]]) -> str:
         for count, (mean, right) in zip(counts, means, strict=True)
         if count
     ]
-    return pages.table(["confidence", "share of right pixels", "of all pixels"], rows, left=0)
+    return markdown(["confidence", "share of right pixels", "of all pixels"], rows, names=0)
 
 
 def summary(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the documentation: means over scenes and seeds."""
     rows = [[f"`{name}`", *_row(records, name)[:-1]] for name in ESTIMATORS]
-    text = pages.table(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
+    text = markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
     return f"{text}\n{_reliability(records)}"
 
 

@@ -25,7 +25,6 @@ from rich.console import Console
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from benchmarks import pages
 from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
 from benchmarks.yardsticks import Yardsticks, all_torch_threads, milliseconds, yardsticks
 from core_rasterizer import (
@@ -37,6 +36,7 @@ from core_rasterizer import (
     photometric_loss,
 )
 from core_rasterizer.device import Program
+from stereogs.experiments.showing.score_table import markdown
 
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
@@ -287,10 +287,10 @@ def show(result: dict[str, Any]) -> None:
         ratios = [known[count].ratios(value) for count, value in times.items()]
         for unit, cells in zip(("copies", "Adam steps"), zip(*ratios, strict=True), strict=True):
             rows.append([f"in {unit}", *cells])
-    print(pages.table(["", *(f"N = {int(count):,}" for count in known)], rows))
+    print(markdown(["", *(f"N = {int(count):,}" for count in known)], rows))
     for name, figures in result.items():
         if name not in shown:
-            print(pages.table([name, ""], [[key, f"{x:.2f}"] for key, x in figures.items()]))
+            print(markdown([name, ""], [[key, f"{x:.2f}"] for key, x in figures.items()]))
 
 
 def main() -> None:

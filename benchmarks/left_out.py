@@ -22,18 +22,18 @@ from pathlib import Path
 from statistics import fmean
 from time import process_time
 
-from benchmarks import pages
-from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
+from benchmarks.left_out_scenes import OVERRIDES, half, thinned
 from benchmarks.records import append, lines
 from benchmarks.trainings import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
+from registry.calls.process_state import one_torch_thread
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.evaluation import evaluate
 from registry.training.assembly import assemble
-from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
+from stereogs.experiments.showing.score_table import markdown
 from stereogs.session import build_pipeline, load_scene
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
@@ -55,12 +55,12 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Record:
+class VariantScore:
     """One training.
 
     Args:
         case: Data set and number of training views before some are held out.
-        changes: Changes of the scene, separated by commas; see `benchmarks.left_out_scenes`.
+        changes: "half" for photographs of half size, otherwise empty.
         digest: Digest of the pipeline.
         seed: Seed of the training.
         psnr: Mean over the held-out views, dB.
@@ -84,23 +84,28 @@ class Record:
 
 
 @dataclass(eq=False)
-class Bench:
+class VariantTrainings:
     """Trains variants of pipelines; loads shared scenes and computes shared first points once.
 
     Args:
         device: Device of the trainings.
-        changes: Names of `left_out_scenes.CHANGES`, applied to each scene in order.
+        halved: Whether photographs have half their size, for a quarter of the time.
     """
 
     device: Device
-    changes: tuple[str, ...]
+    halved: bool = False
 
     def __post_init__(self) -> None:
         self._points: dict[str, PointCloud] = {}
         self._scene = cache(self._load)
 
+    @property
+    def changes(self) -> str:
+        """The changes of the scenes, for records."""
+        return "half" if self.halved else ""
+
     @one_torch_thread()
-    def trial(self, case: str, pipeline: Pipeline) -> Record:
+    def trial(self, case: str, pipeline: Pipeline) -> VariantScore:
         """Train one pipeline on one case."""
         scene = self._scene(case)
         pipeline = pipeline.for_views(len(scene.train))
@@ -116,9 +121,9 @@ class Bench:
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean
-        return Record(
+        return VariantScore(
             case=case,
-            changes=",".join(self.changes),
+            changes=self.changes,
             digest=pipeline_digest(pipeline),
             seed=settings.seed,
             psnr=_number(test["psnr"]),
@@ -132,9 +137,7 @@ class Bench:
     def _load(self, case: str) -> Scene:
         pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", OVERRIDES[case])
         scene = thinned(load_scene(pipeline, device=self.device))
-        for name in self.changes:
-            scene = CHANGES[name](scene)
-        return scene
+        return half(scene) if self.halved else scene
 
     def _first_points(
         self, case: str, pipeline: Pipeline, parts: Parts, scene: Scene
@@ -155,24 +158,28 @@ def _number(score: float | None) -> float:
 
 
 def measure(
-    bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
-) -> Iterator[tuple[Variant, Record]]:
+    bench: VariantTrainings,
+    pipeline: Path,
+    variants: Sequence[Variant],
+    cases: Sequence[str],
+    seeds: int,
+) -> Iterator[tuple[Variant, VariantScore]]:
     """Yield every variant on every case with every seed; train those without a record."""
-    records = (Record(**values) for values in lines(OUT))
+    records = (VariantScore(**values) for values in lines(OUT))
     known = {(record.case, record.changes, record.digest): record for record in records}
     for case in cases:
         for seed in range(seeds):
             for variant in variants:
                 overrides = [*variant.overrides, f"training.seed={seed}"]
                 built = build_pipeline(pipeline, overrides)
-                key = (case, ",".join(bench.changes), pipeline_digest(built))
+                key = (case, bench.changes, pipeline_digest(built))
                 if key not in known:
                     known[key] = bench.trial(case, built)
                     append(asdict(known[key]), OUT)
                 yield variant, known[key]
 
 
-def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
+def table(results: Sequence[tuple[Variant, VariantScore]], variants: Sequence[Variant]) -> str:
     """Return means of each variant and its gain over the first, on the same cases and seeds."""
     headings = ["variant", "PSNR", "SSIM", "gain dB, mean", "by case", "training views", "CPU s"]
     cells = []
@@ -197,7 +204,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
                 f"{fmean(r.gaussians for r in records):,.0f}",
             ]
         )
-    return pages.table([*headings, "Gaussians"], cells)
+    return markdown([*headings, "Gaussians"], cells)
 
 
 def main() -> int:
@@ -208,11 +215,9 @@ def main() -> int:
         "--cases", default=DEFAULT_CASES, help="separated by commas; of: " + ", ".join(OVERRIDES)
     )
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds")
-    parser.add_argument(
-        "--change", action="append", default=[], choices=CHANGES, help="change of the scenes"
-    )
+    parser.add_argument("--half", action="store_true", help="photographs of half their size")
     arguments = parser.parse_args()
-    bench, results = Bench(open_device(), tuple(arguments.change)), []
+    bench, results = VariantTrainings(open_device(), arguments.half), []
     cases = arguments.cases.split(",")
     for variant, record in measure(
         bench, arguments.pipeline, arguments.variants, cases, arguments.seeds

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from benchmarks import pages
 from benchmarks.cells import (
     NONE,
     commonest_processor,
@@ -21,6 +20,7 @@ from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, MethodTrai
 from benchmarks.records import Record as AnyRecord
 from benchmarks.trainings import Case, Method, Points
 from stereogs.experiments.comparing.paper_tables import PaperTables, paper_tables
+from stereogs.experiments.showing.score_table import markdown
 
 Record = AnyRecord[MethodTraining]
 Records = Sequence[Record]
@@ -56,7 +56,7 @@ def summary(records: Records) -> str:
         own = [record for record in records if record.run.method is method]
         if own:
             rows.append([method.title, *(cell(method, own) for _, cell in columns)])
-    return pages.table(["method", *(heading for heading, _ in columns)], rows)
+    return markdown(["method", *(heading for heading, _ in columns)], rows)
 
 
 def _psnr_of(cases: Sequence[Case], points: Points) -> Callable[[Method, Records], str]:
@@ -113,7 +113,7 @@ def _table(group: Group, records: Records, paper: PaperTables) -> str:
         if own:
             cells = _cells(group.cases, own, baseline, list(scores), machine)
             rows.append([method.title, *cells, *_published(group, method, paper)])
-    return pages.table(headings, rows)
+    return markdown(headings, rows)
 
 
 def _cells(

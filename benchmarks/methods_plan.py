@@ -19,7 +19,7 @@ from benchmarks.trainings import (
 )
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override, set_value
-from registry.pipeline.pipeline import build_pipeline
+from registry.pipeline.pipeline import checked_pipeline
 from registry.pipeline.yaml_source import Node, Place, read
 
 SAME_POINTS = Path(__file__).with_name("same_points.yaml")
@@ -131,7 +131,7 @@ def planned_run(
     metrics = "metrics=[psnr, ssim, lpips]"
     for override in (*case.overrides, metrics, f"training.seed={seed}"):
         apply_override(tree, override)
-    pipeline = build_pipeline(tree, plugins)
+    pipeline = checked_pipeline(tree, plugins)
     file = method.file.stem
     name = f"{file}_{points}_{case.data}_{seed}"
     identity = {"method": file, "points": points, "data": case.data, "seed": seed}

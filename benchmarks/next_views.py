@@ -20,10 +20,10 @@ from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
 from benchmarks.records import RECORDS, append, lines
 from benchmarks.trainings import check_data
 from registry import RunError
+from registry.calls.process_state import one_torch_thread
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
 from registry.toolkit.cache import source_digest
-from registry.training.trainer import one_torch_thread
 from stereogs.session import train
 from stereogs.verbs.next_views.gain import ExpectedGain
 
@@ -33,7 +33,7 @@ LAST = 6
 
 
 @dataclass(frozen=True)
-class Training:
+class ScoredSet:
     """One set of photographs.
 
     Args:
@@ -68,7 +68,7 @@ class Suggestion:
     cpu_seconds: float
 
 
-class Bench:
+class RecordedSets:
     """Trains each set once, and remembers what earlier commands measured.
 
     Args:
@@ -114,7 +114,7 @@ class Bench:
                 raise RunError("the training was stopped", where=scene.name, fix="start it again")
             self._newest = key, run
             if key not in self._trainings:
-                self._trainings[key] = Training(*key, _psnr(run), seconds, run.hash)
+                self._trainings[key] = ScoredSet(*key, _psnr(run), seconds, run.hash)
                 append(asdict(self._trainings[key]), FILE)
         return self._newest[1]
 
@@ -133,14 +133,14 @@ def _psnr(run: Run) -> float:
 
 
 def read_records() -> tuple[
-    dict[tuple[str, Chosen], Training], dict[tuple[str, Chosen], Suggestion]
+    dict[tuple[str, Chosen], ScoredSet], dict[tuple[str, Chosen], Suggestion]
 ]:
     """Return the trainings and the suggestions by scene and set; the last of each counts."""
     trainings, suggestions = {}, {}
     for values in lines(FILE):
         key = values["scene"], tuple(values.pop("views"))
         if "psnr" in values:
-            trainings[key] = Training(views=key[1], **values)
+            trainings[key] = ScoredSet(views=key[1], **values)
         else:
             suggestions[key] = Suggestion(views=key[1], **values)
     return trainings, suggestions
@@ -150,7 +150,7 @@ class NotRecorded(Exception):
     """A training is missing that must not be made."""
 
 
-def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
+def paths(bench: RecordedSets, scene: PoolScene) -> dict[str, list[float]]:
     """Return the PSNR after the start and each further photograph, by rule, as far as there are records."""
     curves: dict[str, list[float]] = {}
     for name in (SUGGESTED, *RULES):
@@ -166,7 +166,7 @@ def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
     return curves
 
 
-def every_fourth(bench: Bench, scene: PoolScene) -> list[float]:
+def every_fourth(bench: RecordedSets, scene: PoolScene) -> list[float]:
     """Return the PSNR of every choice of the 4th photograph."""
     pool = range(len(scene.cameras))
     return [bench.psnr(scene, (*scene.start, k)) for k in pool if k not in scene.start]
@@ -180,7 +180,7 @@ def main() -> None:
     arguments = parser.parse_args()
     names = arguments.scenes.split(",")
     check_data(names)
-    bench, measured = Bench(train_missing=not arguments.finished), []
+    bench, measured = RecordedSets(train_missing=not arguments.finished), []
     for name in names:
         scene = pool_scene(name)
         measured.append(Measured(name, paths(bench, scene), every_fourth(bench, scene)))

@@ -31,6 +31,7 @@ from registry.toolkit.photos import (
     longest_side,
     read_colmap_model,
 )
+from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
 from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
@@ -61,7 +62,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Record:
+class CameraRecord:
     """Result of one case.
 
     Args:
@@ -95,7 +96,7 @@ def cases() -> Iterator[tuple[str, str, bool]]:
             yield scene, chosen, True
 
 
-def measure(scene: str, chosen: str, networks: bool) -> Record | None:
+def measure(scene: str, chosen: str, networks: bool) -> CameraRecord | None:
     """Estimate the cameras of a set of pictures; None if the scene has too few."""
     photos, published = pictures(scene)
     count = int(chosen.split()[-1])
@@ -117,7 +118,7 @@ def measure(scene: str, chosen: str, networks: bool) -> Record | None:
             errors = _errors(model, photos, published)
             true = [published[photo.path.stem] for photo in photos]
             psnr = psnr_of_both(model, photos, true)
-    return Record(scene, chosen, networks, count, placed, errors, seconds, psnr)
+    return CameraRecord(scene, chosen, networks, count, placed, errors, seconds, psnr)
 
 
 def _errors(
@@ -147,17 +148,17 @@ def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def read_records() -> dict[tuple[str, str, bool], Record]:
+def read_records() -> dict[tuple[str, str, bool], CameraRecord]:
     """Return the records by case."""
     found = {}
     for values in lines(FILE):
         errors = values.pop("errors")
-        record = Record(**values, errors=Errors(**errors) if errors else None)
+        record = CameraRecord(**values, errors=Errors(**errors) if errors else None)
         found[record.case] = record
     return found
 
 
-def summary(records: dict[tuple[str, str, bool], Record]) -> str:
+def summary(records: dict[tuple[str, str, bool], CameraRecord]) -> str:
     """Return pictures placed and the largest rotation error, a row per scene and kind of search."""
 
     def cell(scene: str, chosen: str, networks: bool) -> str:
@@ -175,10 +176,10 @@ def summary(records: dict[tuple[str, str, bool], Record]) -> str:
         for networks, kind in ((False, "SIFT"), (True, "with networks"))
         if any(record.case[::2] == (scene, networks) for record in records.values())
     ]
-    return pages.table(["pictures of", "matches", *measured], rows, left=2)
+    return markdown(["pictures of", "matches", *measured], rows, names=2)
 
 
-def table(records: Iterable[Record]) -> str:
+def table(records: Iterable[CameraRecord]) -> str:
     """Return every record with all of its errors."""
     rows = []
     for record in records:
@@ -196,7 +197,7 @@ def table(records: Iterable[Record]) -> str:
         )
     headings = ["pictures of", "set", "matches", "placed", "rotation, median", "largest"]
     headings += ["position", "focal length", "CPU s", "PSNR", "with published cameras"]
-    return pages.table(headings, rows, left=3)
+    return markdown(headings, rows, names=3)
 
 
 def main() -> None:
@@ -214,7 +215,7 @@ def main() -> None:
         scene, chosen, networks = case
         plain = records.get((scene, chosen, False))
         if networks and plain is not None and plain.placed == plain.pictures:
-            record: Record | None = replace(plain, networks=True)  # they are not asked
+            record: CameraRecord | None = replace(plain, networks=True)  # they are not asked
         else:
             print(*case, flush=True)
             record = measure(*case)

@@ -8,7 +8,7 @@ from itertools import product
 from benchmarks.trainings import DATA, PIPELINES, VGG, Case, Method, Training, written_digest
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override
-from registry.pipeline.pipeline import build_pipeline
+from registry.pipeline.pipeline import checked_pipeline
 from registry.pipeline.yaml_source import read
 
 LPIPS_SEED = 0
@@ -102,7 +102,7 @@ def _planned(case: Case, method: Method, seed: int, plugins: Plugins) -> Trainin
     extra = case.baseline_overrides if method.baseline else ()
     for override in (*case.overrides, *extra, f"training.seed={seed}"):
         apply_override(tree, override)
-    pipeline = build_pipeline(tree, plugins)
+    pipeline = checked_pipeline(tree, plugins)
     name = f"{case.data}-{case.views}_{method.file.stem}_{seed}"
     identity = {
         "data": case.data,

@@ -7,11 +7,11 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from benchmarks import pages
 from benchmarks.cells import NONE, Records, spread
 from benchmarks.records import Record
 from benchmarks.skips_plan import CASES, DEFAULT
 from stereogs.experiments.showing.against_time import Sample, front
+from stereogs.experiments.showing.score_table import markdown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ Row = tuple[str, ...]
 
 def tables(records: Records, _: int) -> str:
     """Return a row for each switch and scene."""
-    return pages.table(HEADINGS, _rows(records).values(), left=2)
+    return markdown(HEADINGS, _rows(records).values(), names=2)
 
 
 def summary(records: Records) -> str:
@@ -36,7 +36,7 @@ def summary(records: Records) -> str:
     for switch in dict.fromkeys(switch for switch, _ in rows if switch != DEFAULT):
         shown = [rows.get((switch, scene), (NONE,) * len(HEADINGS)) for scene in scenes]
         lines.append([switch, *(row[3] for row in shown), *(row[5] for row in shown)])
-    return pages.table(["switch", *headings], lines)
+    return markdown(["switch", *headings], lines)
 
 
 def _rows(records: Records) -> dict[tuple[str, str], Row]:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 from benchmarks.trainings import DATA, SEEDS, Case, Method, Training, written_digest
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override
-from registry.pipeline.pipeline import build_pipeline, load_pipeline
+from registry.pipeline.pipeline import checked_pipeline, load_pipeline
 from registry.pipeline.yaml_source import Node, parse
 from stereogs.quality.table import SHORT
 
 
-class Switch(NamedTuple):
+class Shortcut(NamedTuple):
     """One shortcut.
 
     Args:
@@ -51,20 +51,20 @@ CASES = dict(
 )
 """Scenes of three kinds by name."""
 DEFAULT = "default"
-SWITCHES = (
-    Switch(DEFAULT),
-    Switch("half as many iterations", length=0.5),
-    Switch("twice as many iterations", length=2.0),
-    Switch("no growth", disabled=("gradient_threshold",)),
-    Switch("no decay", disabled=("gradient_aware_decay",)),
-    Switch("no dropout, no scaling at the end", disabled=("dropout", "expected_opacity")),
-    Switch("dropout without scaling at the end", disabled=("expected_opacity",)),
-    Switch("colours without direction (SH degree 0)", overrides=("training.sh_degree=0",)),
-    Switch("a point every 4th pixel, not every 3rd", overrides=("initializer.stride=4",)),
-    Switch("no limit of size", disabled=("size_limit",)),
-    Switch("no margin around the views", overrides=("initializer.margin=false",)),
-    Switch("photographs of full size from the start", disabled=("resolution_schedule",)),
-    Switch("L1 alone in the loss", overrides=("training.ssim_weight=0",)),
+SHORTCUTS = (
+    Shortcut(DEFAULT),
+    Shortcut("half as many iterations", length=0.5),
+    Shortcut("twice as many iterations", length=2.0),
+    Shortcut("no growth", disabled=("gradient_threshold",)),
+    Shortcut("no decay", disabled=("gradient_aware_decay",)),
+    Shortcut("no dropout, no scaling at the end", disabled=("dropout", "expected_opacity")),
+    Shortcut("dropout without scaling at the end", disabled=("expected_opacity",)),
+    Shortcut("colours without direction (SH degree 0)", overrides=("training.sh_degree=0",)),
+    Shortcut("a point every 4th pixel, not every 3rd", overrides=("initializer.stride=4",)),
+    Shortcut("no limit of size", disabled=("size_limit",)),
+    Shortcut("no margin around the views", overrides=("initializer.margin=false",)),
+    Shortcut("photographs of full size from the start", disabled=("resolution_schedule",)),
+    Shortcut("L1 alone in the loss", overrides=("training.ssim_weight=0",)),
 )
 
 
@@ -76,11 +76,11 @@ def planned_runs(plugins: Plugins, seeds: Iterable[int] = SEEDS) -> list[Trainin
     """
     return [
         _planned(name, switch, seed, plugins)
-        for seed, name, switch in product(seeds, CASES, SWITCHES)
+        for seed, name, switch in product(seeds, CASES, SHORTCUTS)
     ]
 
 
-def variant(switch: Switch, plugins: Plugins) -> Node:
+def variant(switch: Shortcut, plugins: Plugins) -> Node:
     """Return the pipeline with one switch, as a tree; schedules are scaled to its length."""
     overrides = ["scene=procedural", "metrics=[psnr, ssim]", *switch.overrides]
     pipeline = load_pipeline(Path(SHORT), plugins, overrides=overrides, disabled=switch.disabled)
@@ -91,12 +91,12 @@ def variant(switch: Switch, plugins: Plugins) -> Node:
     return parse(made.to_yaml(), switch.label)
 
 
-def _planned(name: str, switch: Switch, seed: int, plugins: Plugins) -> Training:
+def _planned(name: str, switch: Shortcut, seed: int, plugins: Plugins) -> Training:
     case, tree = CASES[name], variant(switch, plugins)
     for override in (*case.overrides, f"training.seed={seed}"):
         apply_override(tree, override)
     digest = written_digest(tree)
     identity = {"switch": switch.label, "data": case.data, "seed": seed}
     method = Method(switch.label, Path(SHORT), baseline=switch.label == DEFAULT)
-    pipeline = build_pipeline(tree, plugins)
+    pipeline = checked_pipeline(tree, plugins)
     return Training(f"{name}_{seed}_{digest}", identity, case, method, seed, pipeline, digest)

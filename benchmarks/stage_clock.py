@@ -98,7 +98,7 @@ def wrap_stages(clock: StageClock) -> None:
     """Count the stages of a training run."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
-    from registry.runs import preparation, run
+    from registry.runs import outputs, preparation, run
     from registry.runs.run import Run
     from registry.training.field import Field
     from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
@@ -121,7 +121,7 @@ def wrap_stages(clock: StageClock) -> None:
         clock.wrap(Field, method, name, lambda field: field.model.device.finish())
     clock.wrap(Run, "keep_in", "run folder and checkpoints")
     clock.wrap(run, "save_checkpoint", "run folder and checkpoints")
-    clock.wrap(Run, "_write_with_outputs", "results and export")
+    clock.wrap(outputs, "_write_with_outputs", "results and export")
     clock.wrap(Run, "evaluate", "evaluation")
 
 

@@ -18,13 +18,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from registry.calls.process_state import one_torch_thread
 from registry.contract.checks.scene import validate
 from registry.contract.components import IN_MEMORY
 from registry.contract.scene import PointCloud, Scene, View
 from registry.discovery import Plugins
 from registry.errors import PipelineError, SceneError
 from registry.pipeline.edits import SECTIONS
-from registry.pipeline.pipeline import Item, Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, checked_pipeline
 from registry.pipeline.ready import find_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Node, Place, parse, read, to_yaml
@@ -105,6 +106,7 @@ def _is_text(source: PathLike) -> bool:
     return isinstance(source, str) and ("\n" in source or source.lstrip().startswith("{"))
 
 
+@one_torch_thread()
 def load_scene(
     source: PipelineSource,
     changes: Sequence[str] = (),
@@ -136,10 +138,8 @@ def load_scene(
             raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
     from registry.pipeline.parts import build_part, load_scene as load_part
-    from registry.training.trainer import one_torch_thread
 
-    with one_torch_thread():
-        return load_part(build_part(found.item, found.seed, find_device(device)))
+    return load_part(build_part(found.item, found.seed, find_device(device)))
 
 
 def scene_from_arrays(
@@ -222,10 +222,10 @@ def train(
             "the pipeline does not name a scene, and none is given",
             fix="give one, train(pipeline, scene=...), or write scene: {use: ..., path: ...}",
         )
-    from registry.runs.training_run import start
+    from registry.runs.training_run import start_run
 
     folder = Path(out).expanduser() if isinstance(out, str | os.PathLike) else out
-    return (start if fit is None else fit.train)(checked, options, folder)
+    return (start_run if fit is None else fit.train)(checked, options, folder)
 
 
 def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:
@@ -252,11 +252,12 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
         ExplainedError: the folder is not a run or has no checkpoint, or an error as in `train`.
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
-    from registry.runs.training_run import resume as resume_run
+    from registry.runs.training_run import continue_run
 
-    return resume_run(path, replace(options or RunOptions(), **changes), Plugins())
+    return continue_run(path, replace(options or RunOptions(), **changes), Plugins())
 
 
+@one_torch_thread()
 def open_run(
     folder: PathLike,
     *,
@@ -277,18 +278,16 @@ def open_run(
         ExplainedError: the folder is not a run, or a part of it cannot be read.
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
-    from registry.runs.opening import open_run as read_run
-    from registry.training.trainer import one_torch_thread
+    from registry.runs.opening import load_run
 
-    with one_torch_thread():
-        return read_run(
-            path,
-            plugins=Plugins(),
-            device=find_device(device),
-            scene=scene,
-            accept_changed_inputs=accept_changed_inputs,
-            to_train=False,
-        )
+    return load_run(
+        path,
+        plugins=Plugins(),
+        device=find_device(device),
+        scene=scene,
+        accept_changed_inputs=accept_changed_inputs,
+        to_train=False,
+    )
 
 
 def results(folder: PathLike) -> dict[str, Any]:

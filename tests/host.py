@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
     from registry.pipeline.pipeline import (
         Item,
-        build_pipeline,
+        checked_pipeline,
         default_schedule,
         load_pipeline,
         parse_pipeline,
@@ -50,11 +50,11 @@ if TYPE_CHECKING:
     from registry.priors.prior_cache import load_estimate, save_estimate
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
-    from registry.runs.opening import open_run
+    from registry.runs.opening import load_run
     from registry.runs.preparation import Prepared
     from registry.runs.progress import MetricsLog, TrainingProgress
     from registry.runs.results import Failure, Results, SceneRecord
-    from registry.runs.training_run import start
+    from registry.runs.training_run import start_run
     from registry.system.files import jsonable, write_json
     from registry.system.lock import locked
     from registry.system.memory import peak_memory_mb, resident_bytes

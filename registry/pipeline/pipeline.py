@@ -186,7 +186,7 @@ def load_pipeline(
         PipelineError: the file or a change is wrong; with the line.
         PluginError: a component that it names cannot be loaded.
     """
-    return build_pipeline(read(find_pipeline(path)), plugins, overrides, disabled, needed)
+    return checked_pipeline(read(find_pipeline(path)), plugins, overrides, disabled, needed)
 
 
 def parse_pipeline(
@@ -198,10 +198,10 @@ def parse_pipeline(
     disabled: Sequence[str] = (),
 ) -> Pipeline:
     """`load_pipeline` for YAML text; `source` stands for the file name in errors."""
-    return build_pipeline(parse(text, source), plugins, overrides, disabled)
+    return checked_pipeline(parse(text, source), plugins, overrides, disabled)
 
 
-def build_pipeline(
+def checked_pipeline(
     root: Node,
     plugins: Plugins,
     overrides: Sequence[str] = (),

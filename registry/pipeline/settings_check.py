@@ -27,7 +27,9 @@ _MESSAGES = {
 }
 
 
-def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[str] = ()) -> Model:
+def validate_settings(
+    model: type[Model], node: Node, path: str, host_names: Sequence[str] = ()
+) -> Model:
     """Build a settings model from a mapping.
 
     Types are strict: "3" is not a number, 3.0 is not a whole number, `yes` is not true.
@@ -35,7 +37,7 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     Args:
         node: the mapping; `${NAME}` in its texts is replaced by the environment variable.
         path: the mapping's place in the pipeline, for messages, for example "scene".
-        lent: further names that the section may contain, which the host reads.
+        host_names: further names that the section may contain, which the host reads.
 
     Raises:
         PipelineError: unknown names (with the nearest known one), wrong types or values, an
@@ -50,7 +52,9 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     except pydantic.ValidationError as error:
         # A missing setting is often a misspelt one: report the misspelt name first.
         found = sorted(error.errors(), key=lambda problem: problem["type"] == "missing")
-    problems = list(dict.fromkeys(_explain(one, model, node, path, lent) for one in found))
+    problems = list(
+        dict.fromkeys(_explain(problem, model, node, path, host_names) for problem in found)
+    )
     place, what, _ = problems[0]
     if len(problems) > 1:
         lines = [f"  {place}: {message}" for place, message, _ in problems]
@@ -133,14 +137,14 @@ def _expand_variables(text: str, place: Place) -> str:
 
 
 def _explain(
-    problem: Any, model: type[Settings], node: Node, path: str, lent: Sequence[str]
+    problem: Any, model: type[Settings], node: Node, path: str, host_names: Sequence[str]
 ) -> tuple[Place, str, str]:
     """Return place, message and fix of one of pydantic's errors."""
     location: tuple[str | int, ...] = problem["loc"]
     kind, written = problem["type"], node.at(location)
     # A value of a nested model, such as `training.learning_rates: 3`, is not a field of that model.
     fields = _model_at(model, location[:-1]).model_fields
-    names = [*fields, *(lent if len(location) <= 1 else ())]
+    names = [*fields, *(host_names if len(location) <= 1 else ())]
     where = ".".join([path, *map(str, location)])
     section = ".".join([path, *map(str, location[:-1])])
     if kind == "extra_forbidden":

@@ -21,6 +21,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,7 +156,7 @@ class RunFolder:
                 remove_leftovers(folder)
             yield
 
-    @property
+    @cached_property
     def identity(self) -> str:
         """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))

@@ -23,12 +23,14 @@ from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.trainer import Iteration, Trainer
 from .evaluation import evaluate, quick
 from .folder import ChooseFolder, RunFolder, refuse_occupied
-from .opening import keep_failure, open_run
+from .opening import keep_failure, load_run
 from .options import RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
+from .outputs import finish, record_changed_inputs
 from .preparation import Prepared, load, prepare, running
-from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
-from .run import SUMS, Run, Stages
+from .progress import EVERY, SUMS, MetricsLog, Observers, TrainingProgress, observed
+from .run import Run
+from .trained_scene import Stages
 
 AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
@@ -44,7 +46,9 @@ _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 _log = logging.getLogger(__name__)
 
 
-def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None) -> Run:
+def start_run(
+    pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
+) -> Run:
     """Train a pipeline. Nothing is written before the scene, the points and the Gaussians are valid.
 
     Args:
@@ -64,8 +68,8 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
 def train_prepared(
     initial: Prepared, options: RunOptions, out: Path | ChooseFolder | None = None
 ) -> Run:
-    """Train from the first iteration, within `running`; arguments and errors as for `start`."""
-    run, trainer = _new_run(initial)
+    """Train from the first iteration, within `running`; arguments and errors as for `start_run`."""
+    run, trainer, metrics = _new_run(initial)
     writing = ""
     if out is not None:
         folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
@@ -75,11 +79,11 @@ def train_prepared(
     device = initial.parts.device.name
     options.console().print(f"{len(initial.points):,} points; {device}{writing}")
     with run.folder.locked() if run.folder else nullcontext():
-        _train_to_end(run, trainer, options, resumed=False)
+        _train_to_end(run, trainer, metrics, options, resumed=False)
     return run
 
 
-def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
+def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
     """Continue a run from its checkpoint, to the same end as if it had never stopped.
 
     Raises:
@@ -89,7 +93,7 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
     folder = RunFolder.existing(path)
     with running(options) as active, folder.locked():
         device = find_device(options.device)
-        run = open_run(
+        run = load_run(
             path,
             plugins=plugins,
             device=device,
@@ -104,8 +108,10 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         with explain_misfit(path / CHECKPOINT):
             trainer = restore(run.parts, run.scene, checkpoint)
         run.model = trainer.model
-        run.record_changes()
-        run.checkpoint = lambda: _checkpoint(run, trainer)
+        record_changed_inputs(run, folder)
+        sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
+        metrics = MetricsLog(run.add_metrics, sums)
+        run.checkpoint = lambda: _checkpoint(run, trainer, metrics)
         folder.forget_metrics_after(checkpoint.iteration)
         folder.note_resumption(
             {"after": checkpoint.iteration, **circumstances(run.pipeline, run.model.engine)}
@@ -114,12 +120,12 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             f"continuing after iteration {checkpoint.iteration} of "
             f"{run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, active, resumed=True)
+        _train_to_end(run, trainer, metrics, active, resumed=True)
     return run
 
 
-def _new_run(initial: Prepared) -> tuple[Run, Trainer]:
-    """Return a run before its first iteration, with its trainer."""
+def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
+    """Return a run before its first iteration, with its trainer and the log of its metrics."""
     pipeline, points = initial.pipeline, initial.points
     trainer = assemble(initial.parts, initial.scene, points, initial.gaussians)
     fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
@@ -134,17 +140,20 @@ def _new_run(initial: Prepared) -> tuple[Run, Trainer]:
         initial.parts,
         initial.scene,
         trainer.model,
-        checkpoint=lambda: _checkpoint(run, trainer),
+        checkpoint=lambda: _checkpoint(run, trainer, metrics),
         initialization={**facts, **points.facts, **facts},  # the host's values, in front
         pictures=dict(points.pictures),
         seconds=Stages(initial.loading, initial.initialization),
     )
-    return run, trainer
+    metrics = MetricsLog(run.add_metrics, {})
+    return run, trainer, metrics
 
 
-def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool) -> None:
+def _train_to_end(
+    run: Run, trainer: Trainer, metrics: MetricsLog, options: RunOptions, *, resumed: bool
+) -> None:
     """Train, report progress, and write the results after the last iteration."""
-    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics, run.sums)
+    settings = run.pipeline.training
     with _explaining_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
@@ -174,7 +183,7 @@ def _train_to_end(run: Run, trainer: Trainer, options: RunOptions, *, resumed: b
                 begin = monotonic()
             run.save_checkpoint()
         if run.finished and run.folder is not None:
-            run.finish()
+            finish(run, run.folder)
             observers.evaluated(run.scores)
 
 
@@ -232,10 +241,10 @@ def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
         yield from trainer.run()
 
 
-def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
+def _checkpoint(run: Run, trainer: Trainer, metrics: MetricsLog) -> Checkpoint:
     with _failures_kept(run, trainer):
         state = trainer.state()
-    for name, pair in run.sums.items():
+    for name, pair in metrics.sums.items():
         state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity

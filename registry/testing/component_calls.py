@@ -36,7 +36,7 @@ from ..priors import (
     StereoPrior,
 )
 from ..runs.options import RunOptions
-from ..runs.training_run import start
+from ..runs.training_run import start_run
 from ..toolkit.cache import FOLDER_VARIABLE
 from ..training.initial_model import initial_gaussians
 from .assertions import require
@@ -166,7 +166,7 @@ def _report(bench: Bench, built: Any) -> Any:
         scene = replace(scene, test=())
     options = RunOptions(scene=scene, device=bench.device, progress=False)
     with tempfile.TemporaryDirectory() as name:
-        run = start(pipeline_of([], _SHORT), options, Path(name) / "run")
+        run = start_run(pipeline_of([], _SHORT), options, Path(name) / "run")
         files = bench.answer(built, run.folder_or_refuse().path, bench.scene)
         return [file.name for file in sorted(files)]
 

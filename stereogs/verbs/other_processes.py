@@ -78,9 +78,9 @@ def refuse_different_answers(pipeline: Pipeline, scene: Scene, device: str) -> N
     except Exception as error:  # the run itself reports errors of its components
         _log.warning("answers were not compared between processes: %s", error)
         return
-    for one, other in zip(*answers, strict=False):
-        if one != other:
-            (item,) = (item for item in pipeline if item.qualified_name == one[0])
+    for (name, digests), other in zip(*answers, strict=False):
+        if (name, digests) != other:
+            (item,) = (item for item in pipeline if item.qualified_name == name)
             with blamed(item):
                 raise PluginError(
                     "it gave different answers in two processes: no run could be repeated or resumed",

@@ -37,6 +37,7 @@ class Failure:
 
 class Replay(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -52,15 +53,13 @@ class Replay(Command):
         """Repeat the iteration; return 0 if it succeeds."""
         from core_rasterizer import open_device
         from registry.discovery import Plugins
-        from registry.training.trainer import one_torch_thread
 
-        with one_torch_thread():
-            failure = repeat_failure(
-                arguments.failure,
-                plugins=Plugins(),
-                device=open_device(arguments.device),
-                accept_changed_inputs=arguments.accept_changed_inputs,
-            )
+        failure = repeat_failure(
+            arguments.failure,
+            plugins=Plugins(),
+            device=open_device(arguments.device),
+            accept_changed_inputs=arguments.accept_changed_inputs,
+        )
         console().print(
             f"iteration {failure.iteration} succeeds now; it had failed with: {failure.what}"
         )
@@ -89,7 +88,7 @@ def repeat_failure(
     from registry.pipeline.parts import Parts, load_scene
     from registry.pipeline.pipeline import load_pipeline
     from registry.runs.opening import FAILURES
-    from registry.runs.origin import compare_inputs
+    from registry.runs.origin import refuse_changed_inputs
     from registry.training.assembly import restore
     from registry.training.checkpoint import explain_misfit, read_checkpoint
 
@@ -111,7 +110,8 @@ def repeat_failure(
         raise RunError(what, where=str(place), fix=fix)
     parts = Parts(pipeline, device)
     scene = load_scene(parts.one("scene"))
-    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
+    if not accept_changed_inputs:
+        refuse_changed_inputs(inputs, scene, pipeline, place)
     with explain_misfit(place):
         trainer = restore(parts, scene, checkpoint)
     next(done for done in trainer.run() if done.number == iteration)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
@@ -41,8 +41,6 @@ from registry.toolkit.photos import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import numpy as np
     from numpy.typing import NDArray
 
@@ -74,11 +72,6 @@ class LLFFScene(SceneLoader[LLFFSettings]):
     def recognizes(cls, folder: Path) -> bool:
         """Return True if the folder contains poses_bounds.npy."""
         return (folder / "poses_bounds.npy").is_file()
-
-    @classmethod
-    def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
-        """Three training views, if the folder has photographs at 1/8 size."""
-        return {"train_views": 3} if (folder / "images_8").is_dir() else None
 
     def load(self) -> Scene:
         """Return the scene.

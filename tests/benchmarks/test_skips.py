@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.skips_page import PICTURE, draw, summary, tables
-from benchmarks.skips_plan import CASES, DEFAULT, SWITCHES, Switch, planned_runs, variant
+from benchmarks.skips_plan import CASES, DEFAULT, SHORTCUTS, Shortcut, planned_runs, variant
 from benchmarks.trainings import Method
 from tests.benchmarks.made import record, rows_of
 from tests.host import Plugins
@@ -41,17 +41,17 @@ def test_a_switch_is_compared_with_the_default_of_its_own_scene_and_seed(tmp_pat
     assert (tmp_path / PICTURE).stat().st_size > 1000
 
 
-@pytest.mark.parametrize("switch", SWITCHES, ids=lambda switch: switch.label)
-def test_every_switch_changes_the_pipeline(switch: Switch) -> None:
-    made = [variant(one, Plugins()).as_written() for one in (switch, SWITCHES[0])]
+@pytest.mark.parametrize("switch", SHORTCUTS, ids=lambda switch: switch.label)
+def test_every_switch_changes_the_pipeline(switch: Shortcut) -> None:
+    made = [variant(one, Plugins()).as_written() for one in (switch, SHORTCUTS[0])]
     assert (made[0] == made[1]) == (switch.label == DEFAULT)
 
 
 def test_switches_take_turns() -> None:
     runs = planned_runs(Plugins(), seeds=(1,))
-    assert len({run.name for run in runs}) == len(runs) == len(CASES) * len(SWITCHES)
+    assert len({run.name for run in runs}) == len(runs) == len(CASES) * len(SHORTCUTS)
     places = [(run.case, run.method.title) for run in runs]
-    assert places == [(case, switch.label) for case in CASES.values() for switch in SWITCHES]
+    assert places == [(case, switch.label) for case in CASES.values() for switch in SHORTCUTS]
     assert {run.pipeline.training.seed for run in runs} == {1}
     half = runs[1].pipeline
     assert half.iterations_per_view is not None

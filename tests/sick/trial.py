@@ -29,7 +29,7 @@ from registry.testing import check, tiny_scene
 from registry.testing.processes import in_other_processes
 from registry.testing.scenes import pipeline_item, pipeline_of
 from stereogs import Pipeline, RunOptions
-from tests.host import TrainingSettings, refuse_different_answers, start
+from tests.host import TrainingSettings, refuse_different_answers, start_run
 from tests.sick.cases import Case
 
 Verdict = Literal["named", "warned", "refused", "crash", "harmless", "silent"]
@@ -198,7 +198,7 @@ def _trained(case: Case, sick: type[Any], device: Device, checked: bool) -> dict
     scene, pipeline = tiny_scene(), _pipeline(case, sick)
     options = RunOptions(scene=scene, device=device, progress=False, check_plugins=checked)
     with tempfile.TemporaryDirectory() as name, _restored():
-        run = start(pipeline, options, Path(name) / "run")
+        run = start_run(pipeline, options, Path(name) / "run")
         results = read_results(Path(name) / "run/results.json")
         rows = [row["mean_error"] for split in results["views"].values() for row in split.values()]
         photographs = [float(view.image.sum()) for view in (*run.scene.train, *run.scene.test)]

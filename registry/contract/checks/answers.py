@@ -112,10 +112,9 @@ def check_moves(moves: Any, groups: Collection[str]) -> Collection[str] | None:
     """Check the parameter groups that a term alone moves: known names, or None."""
     if moves is None:
         return None
-    unknown = [name for name in moves if name not in groups]
-    if isinstance(moves, str) or unknown:
+    if isinstance(moves, str) or not set(moves) <= set(groups):
         raise PluginError(
-            f"`moves` names {unknown or moves!r}, which is no list of parameter groups",
+            f"`moves` must be a list of parameter groups, not {moves!r}",
             fix=f"use names from: {', '.join(groups)}",
         )
     return tuple(moves)

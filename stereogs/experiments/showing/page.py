@@ -14,7 +14,6 @@ from registry.toolkit.web_page import (
     line_plot,
     note,
     page,
-    score_table,
     section,
 )
 
@@ -37,10 +36,7 @@ def as_page(
             f"{plan.size}. Bold: the best of a column. seconds: time of training; in all: time of the "
             "whole run."
         ),
-        *(
-            score_table(table.head, table.rows, names=table.names, caption=table.title)
-            for table in tables(plan, results)
-        ),
+        *(table.html() for table in tables(plan, results)),
         *(note(line) for line in notes(plan, results)),
         section("Scores against time", against_time(plan, results, curves, references)),
         section("Plots", grid(list(plots(plan, results)))),

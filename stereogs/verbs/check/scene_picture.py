@@ -14,7 +14,7 @@ from torch import Tensor
 
 from registry import Scene, View
 from registry.messages.suggestions import counted
-from registry.toolkit.drawing import to_bytes
+from registry.toolkit.drawing import to_bytes, upwards
 
 from .labels import Color, Label, draw_labels, write
 
@@ -191,11 +191,8 @@ def _near_points(positions: Array, centers: Array) -> Array:
 
 def _ground(scene: Scene) -> tuple[Array, Array]:
     """Return unit vectors right and forward of the ground plane; its normal is the mean up direction."""
+    up = upwards([view.camera for view in scene.train])
     poses = np.stack([view.camera.world_to_camera.numpy() for view in scene.train])
-    up = -poses[:, 1, :3].mean(axis=0)
-    if np.linalg.norm(up) < 1e-6:  # the up directions cancel
-        up = -poses[0, 1, :3]
-    up = up / np.linalg.norm(up)
     # The mean viewing direction is zero for cameras in a ring and along `up` for cameras above.
     for direction in (poses[:, 2, :3].mean(axis=0), poses[0, 2, :3], *np.eye(3)):
         forward = direction - up * (direction @ up)

@@ -82,6 +82,8 @@ def other_pictures(run: Run, settings: Sequence[str]) -> tuple[list[str], list[C
     return [view.name for view in others], [view.camera for view in others]
 
 
-def _moved(one: Camera, other: Camera) -> bool:
-    size = max(float(one.center.norm()), 1e-9)
-    return float((one.camera_to_world - other.camera_to_world).abs().max()) > _SAME * max(size, 1)
+def _moved(camera: Camera, other: Camera) -> bool:
+    size = max(float(camera.center.norm()), 1e-9)
+    return float((camera.camera_to_world - other.camera_to_world).abs().max()) > _SAME * max(
+        size, 1
+    )

@@ -42,6 +42,7 @@ settings worked.
 
 class Priors(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the action `check`."""
@@ -67,7 +68,6 @@ class Priors(Command):
         from core_rasterizer import open_device
         from registry.discovery import Plugins
         from registry.toolkit.networks import OnnxModel, answers_within
-        from registry.training.trainer import one_torch_thread
 
         from .prior_trials import guesses, known_truth
 
@@ -76,7 +76,7 @@ class Priors(Command):
         _print_properties(model, output)
         found = guesses(model, plugins, arguments.set)
         device = open_device(arguments.device)
-        with one_torch_thread(), _quiet_priors(), answers_within(LONGEST):
+        with _quiet_priors(), answers_within(LONGEST):
             truth = known_truth(plugins, device)
             trials = list(_successful(found, truth, device, output))
         if not trials:

@@ -26,7 +26,7 @@ from stereogs.experiments.running import local_processes
 from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.running.local_processes import LocalProcesses, training_arguments
 from stereogs.experiments.running.pool import PoolProgress, choose_runner, train_all
-from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start
+from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start_run
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
@@ -163,7 +163,7 @@ def train_here(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MetricsLog, "add", add)
-        start(
+        start_run(
             run.pipeline,
             RunOptions(device=device, progress=False),
             folder.run(run).path,

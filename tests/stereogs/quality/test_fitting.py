@@ -25,7 +25,7 @@ from stereogs.quality.table import (
     by_length,
     by_quality,
 )
-from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start
+from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start_run
 
 TEXT = """\
 name: {name}
@@ -58,7 +58,7 @@ class Machine:
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
         monkeypatch.setattr(rehearsal, "evaluate", evaluated)
-        monkeypatch.setattr("registry.runs.run.evaluate", evaluated)
+        monkeypatch.setattr("registry.runs.trained_scene.evaluate", evaluated)
 
     def budget(self, seconds: float) -> Budget:
         return Budget(seconds, self.now, lambda: self.now)
@@ -69,7 +69,7 @@ def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> P
 
 
 def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) -> Run:
-    train = start if fit is None else fit.train
+    train = start_run if fit is None else fit.train
     return train(first, RunOptions(device=device, progress=False), out)
 
 

@@ -13,7 +13,7 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Step
 from stereogs import RunOptions
 from stereogs.verbs.replay import repeat_failure as replay
-from tests.host import Plugins, parse_pipeline, read_checkpoint, start, write_checkpoint
+from tests.host import Plugins, parse_pipeline, read_checkpoint, start_run, write_checkpoint
 from tests.registry.toy_plugin import ToyTerm
 
 TEXT = """\
@@ -35,7 +35,7 @@ def train(plugins: Plugins, device: Device, out: Path | None, fault: str) -> Exp
     """Train into a folder; return the error that ends the training, if any."""
     pipeline = parse_pipeline(TEXT.replace("FAULT", fault), plugins, source="toy.yaml")
     try:
-        start(pipeline, RunOptions(device=device, progress=False), out)
+        start_run(pipeline, RunOptions(device=device, progress=False), out)
     except ExplainedError as error:
         return error
     return None

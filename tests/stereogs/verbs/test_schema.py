@@ -13,7 +13,7 @@ import pydantic
 import pytest
 
 import registry
-from stereogs.verbs.schema import HEADER, pipeline_schema
+from stereogs.verbs.schema import pipeline_schema
 from tests.host import GROUP, Offer, PipelineError, Plugins, main, parse_pipeline, parse_yaml, plain
 
 ROOT = Path(__file__).parents[3]
@@ -75,8 +75,9 @@ def test_shipped_pipelines_are_bound_to_it_and_fit(
     path: Path, shipped: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = path.read_text("utf-8").splitlines()[0]
-    assert first.startswith(HEADER)
-    assert (path.parent / first.removeprefix(HEADER)).samefile(KEPT)
+    comment, _, schema = first.partition("=")
+    assert comment == "# yaml-language-server: $schema"
+    assert (path.parent / schema).samefile(KEPT)
     for name in ("STEREOGS_DATA", "STEREOGS_MODELS"):
         monkeypatch.setenv(name, "somewhere")
     assert errors(shipped, plain(parse_yaml(path.read_text("utf-8"), path.name))) == ""

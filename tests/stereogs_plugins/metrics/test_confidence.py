@@ -95,7 +95,7 @@ def test_export_leaves_out_guesses_and_writes_the_values(run: Run, tmp_path: Pat
     some = stereogs.export(run, "ply", tmp_path / "some", min_confidence=middle)[0]
     kept = PlyData.read(some)["vertex"]["confidence"]
     assert kept.tolist() == values[values >= middle].tolist()
-    with pytest.raises(stereogs.ExplainedError, match="no Gaussian would remain"):
+    with pytest.raises(stereogs.ExplainedError, match="all Gaussians would be left out"):
         stereogs.export(run, "ply", tmp_path / "none", min_confidence=1.0)
     (glb,) = stereogs.export(run, "gltf", tmp_path / "gltf", min_confidence=0.0)
     assert b'"_CONFIDENCE"' in glb.read_bytes()
