@@ -31,7 +31,7 @@ from benchmarks.results_plan import PIPELINES
 from benchmarks.training_records import RECORDS
 from registry import Scene, View
 from registry.runs.run import Run
-from registry.toolkit.views import predicted_psnr
+from registry.toolkit.images import predicted_psnr
 from registry.training.trainer import one_torch_thread
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 
 TARGET = "bench-priors"
 PAGE = pages.DOCS / "results.md"

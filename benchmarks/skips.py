@@ -31,7 +31,7 @@ from registry.discovery import Plugins
 from registry.pipeline.pipeline import load_pipeline
 from registry.pipeline.yaml_source import Node, parse
 from registry.system.files import write_json, write_text
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 from stereogs.experiments.planning.matrix import Matrix, plan_of
 from stereogs.experiments.planning.plan import Plan, PlannedRun
 from stereogs.experiments.running.folder import AblationFolder

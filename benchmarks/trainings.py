@@ -16,9 +16,10 @@ from rich.console import Console
 from benchmarks import training_records as records
 from benchmarks.planned_training import PlannedTraining
 from benchmarks.training_process import ANSWER, FAILED, PIPELINE
+from registry.system.cores import usable_cores
 from registry.system.files import write_text
 from registry.system.interrupt import stop_on_interrupt
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 
 THREADS = "POCL_MAX_PTHREAD_COUNT"
 Group = Sequence[PlannedTraining]
@@ -111,7 +112,7 @@ def train(
     queue, working = deque(waiting), list[Training]()
     failures: dict[str, str] = {}
     begin = monotonic()
-    threads = None if jobs == 1 else max(1, (os.cpu_count() or 1) // jobs)
+    threads = None if jobs == 1 else max(1, usable_cores() // jobs)
     with stop_on_interrupt() as stop:
         try:
             while queue or working:

@@ -12,7 +12,8 @@ from benchmarks.results_plan import CASES, METHODS, Case, check_data, make_measu
 from benchmarks.training_records import RECORDS
 from registry.discovery import Plugins
 from registry.system.files import write_text
-from registry.toolkit.views import ViewAngles, subject_of, view_angles
+from registry.toolkit.views import subject_of, view_angles
+from registry.toolkit.views.viewing_angles import ViewAngles
 from stereogs.session import load_scene
 
 FILE = RECORDS / "view_angles.json"

@@ -31,7 +31,6 @@ from ..pipeline.training_settings import TrainingSettings
 from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
-from ..toolkit.views.scene_facts import summary, warnings
 from ..training.assembly import assemble, restore
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
 from ..training.initial_model import initial_gaussians
@@ -43,6 +42,7 @@ from .options import InitialState, RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
 from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
 from .run import SUMS, Run, Stages
+from .scene_facts import summary, warnings
 
 AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""

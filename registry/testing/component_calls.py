@@ -17,6 +17,7 @@ from torch import Tensor
 
 from core_rasterizer import GaussianReader, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 
 from ..confidence import Trained
 from ..contract.checks.answers import (
@@ -46,7 +47,6 @@ from ..priors import (
 )
 from ..runs.options import RunOptions
 from ..runs.training_run import start
-from ..toolkit.cache import FOLDER_VARIABLE
 from ..training.initial_model import initial_gaussians
 from .assertions import require, require_files
 from .bench import Bench

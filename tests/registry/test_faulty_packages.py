@@ -19,7 +19,7 @@ from registry.pipeline import blame
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.runs.opening import open_run
 from registry.system.memory import resident_bytes
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 from stereogs.verbs.replay import repeat_failure
 from tests.registry.conftest import TOYS
 from tests.registry.faulty import NAMES, installed, module

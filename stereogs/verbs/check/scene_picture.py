@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +12,8 @@ from torch import Tensor
 
 from registry import Scene, View
 from registry.messages.suggestions import counted
-from registry.toolkit.drawing import to_bytes
+from registry.toolkit.drawing import to_bytes, upwards
+from registry.toolkit.drawing.axis_ticks import multiples, round_step
 
 from .labels import Color, Label, draw_labels, write
 
@@ -192,10 +191,7 @@ def _near_points(positions: Array, centers: Array) -> Array:
 def _ground(scene: Scene) -> tuple[Array, Array]:
     """Return unit vectors right and forward of the ground plane; its normal is the mean up direction."""
     poses = np.stack([view.camera.world_to_camera.numpy() for view in scene.train])
-    up = -poses[:, 1, :3].mean(axis=0)
-    if np.linalg.norm(up) < 1e-6:  # the up directions cancel
-        up = -poses[0, 1, :3]
-    up = up / np.linalg.norm(up)
+    up = upwards([view.camera for view in scene.train])
     # The mean viewing direction is zero for cameras in a ring and along `up` for cameras above.
     for direction in (poses[:, 2, :3].mean(axis=0), poses[0, 2, :3], *np.eye(3)):
         forward = direction - up * (direction @ up)
@@ -222,25 +218,15 @@ def _draw_axes(pen: ImageDraw.ImageDraw, plan: Plan) -> list[Text]:
     half = np.array(plan.size) / 2 / plan.scale
     low, high = plan.center - half, plan.center + half
     step = round_step(float((high - low).max()) / _TICK_COUNT)
-    for value in _ticks(low[0], high[0], step):
+    for value in multiples(step, low[0], high[0]):
         column = plan.pixels(np.array([[value, plan.center[1]]]))[0, 0]
         pen.line((column, 0, column, plan.size[1]), _AXES)
         texts.append(((column + 2, plan.size[1] - _FONT_SIZE - 4), f"{value:g}"))
-    for value in _ticks(low[1], high[1], step):
+    for value in multiples(step, low[1], high[1]):
         row = plan.pixels(np.array([[plan.center[0], value]]))[0, 1]
         pen.line((0, row, plan.size[0], row), _AXES)
         texts.append(((2, row + 1), f"{value:g}"))
     return texts
-
-
-def round_step(wanted: float) -> float:
-    """Return the smallest of 1, 2 or 5 times a power of ten that is at least `wanted`."""
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= wanted)
-
-
-def _ticks(low: float, high: float, step: float) -> Sequence[float]:
-    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def _draw_points(picture: Image.Image, plan: Plan, scene: Scene) -> None:

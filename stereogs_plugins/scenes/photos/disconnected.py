@@ -6,9 +6,9 @@ from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from registry import SceneError
-from registry.toolkit.views import words_between
+from registry.toolkit.networks import MODELS_VARIABLE
 
-from .learned_matches import FOLDER_VARIABLE, known_files
+from .learned_matches import known_files
 from .picture_files import listed, reason_lines
 from .unposed_photos import MIN_PHOTOS
 
@@ -175,7 +175,7 @@ def _advice(
             lines.append(f"take {listed(poor, names)} again, sharp and with enough light")
     if too_far and known_files() is None:
         lines.append(
-            f"or set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
+            f"or set {MODELS_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
             "farther apart (docs/prior_models.md#networks-that-were-run)"
         )
     return "\n".join(lines)
@@ -215,7 +215,7 @@ def _bridge(
     _, _, first, second = max(pairs)
     same = "if it shows the same scene" if len(weak) == 1 else "if they show the same scene"
     return (
-        f"{same}, take pictures {words_between(names[-second], names[-first])}, each with two thirds of the "
+        f"{same}, take pictures between {names[-second]} and {names[-first]}, each with two thirds of the "
         "previous one"
     )
 

@@ -7,12 +7,11 @@ Their matches are added to those of SIFT, which are more exact.
 
 from __future__ import annotations
 
-import os
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
+from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel, model_files
 from registry.toolkit.progress import tracked
 
 from .unposed_photos import image_index, image_name
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-FOLDER_VARIABLE = "STEREOGS_MODELS"
-"""Environment variable with the path of the model folder."""
 FINDER = (
     Path("aliked_lightglue", "aliked_n16.onnx"),
     "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
@@ -41,17 +38,13 @@ MAX_KEYPOINTS = 1024
 """Keypoints of a picture to match, best first; matching twice as many takes four times as long."""
 
 
-def known_files() -> tuple[Path, Path] | None:
+def known_files() -> tuple[Path, ...] | None:
     """Paths of the two networks in the model folder, or None if one is missing."""
-    root = os.environ.get(FOLDER_VARIABLE)
-    if not root:
-        return None
-    finder, matcher = (Path(root, path) for path, _ in (FINDER, MATCHER))
-    return (finder, matcher) if finder.is_file() and matcher.is_file() else None
+    return model_files(FINDER[0], MATCHER[0])
 
 
 def add_learned_matches(
-    colmap: Any, files: tuple[Path, Path], images: Path, sift: Path, database: Path
+    colmap: Any, files: tuple[Path, ...], images: Path, sift: Path, database: Path
 ) -> None:
     """Fill a database with unverified keypoints and matches of SIFT and the networks.
 

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from PIL import Image
 
-from registry.toolkit.photos import Decoder, import_pycolmap, in_parallel
+from registry.toolkit.photos import Decoder, import_pycolmap
+from registry.toolkit.progress import in_parallel
 
 from .dense.check import DenseCheck
 from .dense.refinement import contradicts_exif, refine

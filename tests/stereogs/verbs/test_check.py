@@ -13,8 +13,8 @@ from PIL import Image
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
 from registry.discovery import Plugins, recognize
+from registry.runs.scene_facts import points_in_view, summary, typical_depth, warnings
 from registry.testing import tiny_scene
-from registry.toolkit.views.scene_facts import points_in_view, summary, typical_depth, warnings
 from stereogs.cli import main, parse
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (

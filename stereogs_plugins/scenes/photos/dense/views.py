@@ -79,7 +79,7 @@ class Pictures:
         """
         import torch
 
-        from registry.toolkit.drawing import grey
+        from registry.toolkit.images import grey
 
         pose = image.cam_from_world().matrix()
         depth = points @ pose[2, :3] + pose[2, 3]

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from registry.discovery import GROUP
-from registry.toolkit.cache import content_key, package_digest, source_digest
-from registry.toolkit.cache.keys import module_digest
+from registry.toolkit.cache import content_key, source_digest
+from registry.toolkit.cache.keys import module_digest, package_digest
 
 
 def test_keys_depend_on_types_shapes_and_order() -> None:
