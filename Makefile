@@ -117,14 +117,13 @@ bench-confidence: $(VENV)/.dev ## how well confidence predicts errors of test vi
 	$(BIN)/python -m benchmarks.confidence --write-docs
 
 bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
-	$(BIN)/python -m benchmarks.skips --write-docs
+	$(BIN)/python -m benchmarks.campaigns skips --write-docs
 
 profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
-curve: $(VENV)/.dev ## error against seconds, as a picture; needs an idle machine
+curve: $(VENV)/.dev ## a page with error against seconds; needs an idle machine
 	$(BIN)/stereogs bench benchmarks/curve.yaml --out benchmarks/out/curve
-	$(BIN)/python -m benchmarks.curve
 
 results: $(VENV)/.dev ## four pipelines on every data set, up to three seeds, hours; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.campaigns results --write-docs

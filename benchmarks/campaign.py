@@ -9,6 +9,7 @@ if some are missing.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,27 +18,63 @@ from typing import Generic
 
 from rich.console import Console
 
-from benchmarks import training_records as records
+from benchmarks import records
 from benchmarks.pages import DOCS, marks, rewrite, write_tables
-from benchmarks.planned_training import Planned
-from benchmarks.results_plan import check_data
-from benchmarks.training_records import Record
-from benchmarks.trainings import train
+from benchmarks.records import Record
+from benchmarks.training_process import ANSWER, PIPELINE
+from benchmarks.trainings import AnyTraining, MeasuredProcesses, Training, check_data
+from core_rasterizer import open_device
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
 from registry.discovery import Plugins
+from registry.runners import TrainingTask
+from registry.system.files import write_text
 from registry.system.lock import locked
+from stereogs.experiments.running.pool import Outcome, choose_runner, train_all
 
 OUT = Path(__file__).parent / "out"
 INTERRUPTED = 130
 
 
-def one_by_one(waiting: Sequence[Planned]) -> list[tuple[Planned]]:
-    """Put each training into a process of its own."""
-    return [(run,) for run in waiting]
+@dataclass(frozen=True)
+class CampaignFolder:
+    """Folders of a campaign's trainings, and the file that keeps its records.
+
+    Args:
+        path: A folder with a subfolder for each training: pipeline, log, pictures and answer.
+        kept: File of records.
+    """
+
+    path: Path
+    kept: Path
+
+    def task(self, run: Training, device: str | None) -> TrainingTask:
+        """Write the pipeline to train, and return the task."""
+        folder = self.path / run.name
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ANSWER).unlink(missing_ok=True)
+        write_text(folder / PIPELINE, run.measured_pipeline)
+        return TrainingTask(run.measured_pipeline, folder, folder / "log.txt", device)
+
+    def keep(self, run: Training) -> bool:
+        """Save a record of the answer of a training; return False if it left none."""
+        answer = self.path / run.name / ANSWER
+        if not answer.is_file():
+            return False
+        records.save(run, json.loads(answer.read_text("utf-8")), self.kept)
+        return True
+
+    def train(
+        self, waiting: Sequence[AnyTraining], jobs: int, device: str | None, console: Console
+    ) -> Outcome[AnyTraining]:
+        """Train in order, and save a record of each training when it ends."""
+        runner = choose_runner(None, jobs, Plugins(()), open_device(device), MeasuredProcesses)
+        with locked(self.path) as lock:
+            runner.component.lock = lock.descriptor
+            return train_all(waiting, self, runner, device=device, console=console)
 
 
-def _check_priors(waiting: Sequence[Planned]) -> None:
+def _check_priors(waiting: Sequence[Training]) -> None:
     """Check that no training would use the fallback of a prior, which its row in a table does not name.
 
     Raises:
@@ -53,11 +90,11 @@ def _check_priors(waiting: Sequence[Planned]) -> None:
 
 
 @dataclass(frozen=True)
-class Campaign(Generic[Planned]):
+class Campaign(Generic[AnyTraining]):
     """A plan of trainings and the tables made from it.
 
     Args:
-        name: Target of the Makefile; name of its records, tables and folder of outputs.
+        name: Name of its records, tables and folder of outputs.
         title: Heading of its file of tables.
         data: Data sets that it needs.
         plan: Returns all trainings, in order.
@@ -65,28 +102,27 @@ class Campaign(Generic[Planned]):
         summary: Makes the summary from the records.
         tables: Makes all tables from the records and the number of planned trainings.
         finish: Called at the end with the records and the folder of outputs.
-        group: Groups trainings whose first iterations are the same, to be computed once.
+        picture: Draws the records into a folder: that of outputs, or that of `docs`.
+        target: Target of the Makefile.
     """
 
     name: str
     title: str
     data: Sequence[str]
-    plan: Callable[[Plugins], list[Planned]]
+    plan: Callable[[Plugins], list[AnyTraining]]
     page: str
-    summary: Callable[[Sequence[Record[Planned]]], str]
-    tables: Callable[[Sequence[Record[Planned]], int], str]
-    finish: Callable[[Sequence[Record[Planned]], Path], None] | None = None
-    group: Callable[[Sequence[Planned]], Sequence[Sequence[Planned]]] = one_by_one
+    summary: Callable[[Sequence[Record[AnyTraining]]], str]
+    tables: Callable[[Sequence[Record[AnyTraining]], int], str]
+    finish: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
+    picture: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
+    target: str = ""
 
     def main(self, description: str | None) -> int:
         """Train the missing runs and write the tables; return the exit status."""
         arguments = self._arguments(description)
         console = Console(markup=False, highlight=False, soft_wrap=True)
-        out = OUT / self.name
         try:
-            out.mkdir(parents=True, exist_ok=True)
-            with locked(out):
-                return self._run(arguments, out, console)
+            return self._run(arguments, console)
         except ExplainedError as error:
             sys.exit(f"{self.name}: {error}")
 
@@ -94,40 +130,45 @@ class Campaign(Generic[Planned]):
         parser = argparse.ArgumentParser(description=description)
         parser.add_argument("--device", help="part of a device's name")
         parser.add_argument("--jobs", type=int, default=1, help="trainings at a time (%(default)s)")
-        parser.add_argument("--seconds", type=float, help="start no training after this time")
+        parser.add_argument("--finished", action="store_true", help="use only records that exist")
         parser.add_argument(
             "--write-docs", action="store_true", help=f"rewrite the tables and {self.page}"
         )
         return parser.parse_args()
 
-    def _run(self, arguments: argparse.Namespace, out: Path, console: Console) -> int:
-        check_data(self.data)
-        runs, kept = self.plan(Plugins()), records.RECORDS / f"{self.name}.jsonl"
-        done = {record.run.name for record in records.read(runs, kept)}
+    def _run(self, arguments: argparse.Namespace, console: Console) -> int:
+        folder = CampaignFolder(OUT / self.name, records.RECORDS / f"{self.name}.jsonl")
+        if not arguments.finished:
+            check_data(self.data)
+        runs, failures = self.plan(Plugins()), {}
+        done = {record.run.name for record in records.read(runs, folder.kept)}
         waiting = [run for run in runs if run.name not in done]
-        _check_priors(waiting)
         console.print(f"{len(runs)} runs, {len(waiting)} to train")
-        failures = train(
-            self.group(waiting),
-            jobs=arguments.jobs,
-            seconds=arguments.seconds,
-            device=arguments.device,
-            out=out,
-            kept=kept,
-            console=console,
-        )
-        found = records.read(runs, kept)
+        if not arguments.finished:
+            _check_priors(waiting)
+            folder.path.mkdir(parents=True, exist_ok=True)
+            failures = folder.train(waiting, arguments.jobs, arguments.device, console).failures
+        found = records.read(runs, folder.kept)
         text = self.tables(found, len(runs))
         console.print(text)
-        if arguments.write_docs:
-            write_tables(self.name, self.title, self.name, text)
-            rewrite(DOCS / self.page, marks(self.name), self.summary(found))
+        if arguments.write_docs and found:
+            self.write_docs(found, text)
         if self.finish is not None:
-            self.finish(found, out)
+            self.finish(found, folder.path)
+        if self.picture is not None and found:
+            self.picture(found, DOCS / "images" if arguments.write_docs else folder.path)
         if failures:
-            name, message = next(iter(failures.items()))
-            raise RunError(f"{len(failures)} runs failed; the first error:\n{message}", where=name)
+            run, message = next(iter(failures.items()))
+            raise RunError(
+                f"{len(failures)} runs failed; the first error:\n{message}", where=run.name
+            )
         if len(found) < len(runs):
             console.print(f"{len(runs) - len(found)} are missing; the same command continues")
             return INTERRUPTED
         return 0
+
+    def write_docs(self, found: Sequence[Record[AnyTraining]], text: str) -> None:
+        """Write the file of tables, and the summary into its page."""
+        target = self.target or self.name
+        write_tables(self.name, self.title, target, text)
+        rewrite(DOCS / self.page, marks(target), self.summary(found))

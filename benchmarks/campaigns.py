@@ -1,8 +1,8 @@
-"""Three campaigns of trainings: `python -m benchmarks.campaigns NAME`, which `make NAME` runs.
+"""Four campaigns of trainings: `python -m benchmarks.campaigns NAME`, which `make NAME` runs.
 
 `methods`: every published method under one protocol. `parts`: StereoGS's parts with networks, one by one.
-`results`: four pipelines on every data set. All are resumable (`benchmarks.campaign`). Pictures of the test
-views are in `benchmarks/out/NAME`.
+`results`: four pipelines on every data set. `skips`: time and PSNR of each shortcut of a pipeline.
+All are resumable (`benchmarks.campaign`). Pictures of the test views are in `benchmarks/out/NAME`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from benchmarks import (
     parts_plan,
     results_page,
     results_plan,
+    skips_page,
+    skips_plan,
 )
 from benchmarks.campaign import Campaign
 from benchmarks.results_picture import draw_first_views
+from benchmarks.trainings import SEEDS
 
 METHODS = Campaign(
     name="methods",
@@ -40,21 +43,31 @@ PARTS = Campaign(
     page="results.md",
     summary=parts_page.summary,
     tables=parts_page.tables,
-    group=parts_plan.shared_groups,
 )
 RESULTS = Campaign(
     name="results",
     title="Every data set, all tables",
     data=[case.data for case in results_plan.CASES],
-    plan=lambda plugins: results_plan.make_measurements(
-        results_plan.CASES, results_plan.METHODS, results_plan.SEEDS, plugins
+    plan=lambda plugins: results_plan.planned_runs(
+        results_plan.CASES, results_plan.METHODS, SEEDS, plugins
     ),
     page="results.md",
     summary=results_page.summary,
     tables=results_page.tables,
     finish=draw_first_views,
 )
-CAMPAIGNS: dict[str, Campaign[Any]] = {one.name: one for one in (METHODS, PARTS, RESULTS)}
+SKIPS = Campaign(
+    name="skips",
+    title="Shortcuts of weightfree_fast",
+    data=[case.data for case in skips_plan.CASES.values()],
+    plan=skips_plan.planned_runs,
+    page="run_time.md",
+    summary=skips_page.summary,
+    tables=skips_page.tables,
+    picture=skips_page.draw,
+    target="bench-skips",
+)
+CAMPAIGNS: dict[str, Campaign[Any]] = {one.name: one for one in (METHODS, PARTS, RESULTS, SKIPS)}
 
 if __name__ == "__main__":
     if sys.argv[1:2] not in [[name] for name in CAMPAIGNS]:

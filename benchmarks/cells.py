@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from benchmarks.training_records import Record, processor
+from benchmarks.records import Record
+from benchmarks.trainings import ALEXNET, VGG
 from stereogs.experiments.showing.scores import difference
 
 Records = Sequence[Record[Any]]
 
 NONE = "\u2013"
 """A cell without a number."""
-VGG, ALEXNET = "lpips", "lpips_alex"
 HEADINGS = {"ssim": "SSIM", VGG: "LPIPS", ALEXNET: "LPIPS, Alex", "avge": "AVGE"}
 """Headings of columns by the score's name; PSNR has columns of its own."""
 
@@ -64,13 +64,13 @@ def _psnr(records: Records) -> dict[tuple[str, int, int], float]:
 
 def count(records: Records, planned: int) -> str:
     """Return the number of runs and their devices, as a sentence."""
-    devices = dict.fromkeys(map(processor, records))
+    devices = dict.fromkeys(record.processor for record in records)
     return f"{len(records)} of {planned} runs, on {' and '.join(devices) or 'no device yet'}."
 
 
 def commonest_processor(records: Records) -> str:
     """Return the processor of most trainings; on a tie, the first."""
-    ((name, _),) = Counter(map(processor, records)).most_common(1)
+    ((name, _),) = Counter(record.processor for record in records).most_common(1)
     return name
 
 
@@ -97,6 +97,6 @@ def time_ratio(own: Records, baseline: Records) -> str:
 def _seconds(records: Records) -> dict[tuple[str, str], list[float]]:
     found: dict[tuple[str, str], list[float]] = {}
     for record in records:
-        place = (record.run.case.data, processor(record))
+        place = (record.run.case.data, record.processor)
         found.setdefault(place, []).append(cpu_seconds(record))
     return found

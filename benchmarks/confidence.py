@@ -27,12 +27,13 @@ import stereogs
 from benchmarks import pages
 from benchmarks.confidence_measures import auroc, ause, rank_correlation, reliability
 from benchmarks.left_out_scenes import OVERRIDES
-from benchmarks.results_plan import PIPELINES
-from benchmarks.training_records import RECORDS
+from benchmarks.records import RECORDS, append, lines
+from benchmarks.trainings import PIPELINES
 from registry import Scene, View
 from registry.runs.run import Run
 from registry.toolkit.images import predicted_psnr
 from registry.training.trainer import one_torch_thread
+from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 
 FILE = RECORDS / "confidence.jsonl"
@@ -120,8 +121,7 @@ def _errors(run: Run, view: View) -> tuple[NDArray[np.float64], float]:
 
 def recorded() -> list[dict[str, Any]]:
     """Return the records, in the order of the file."""
-    lines = FILE.read_text("utf-8").splitlines() if FILE.is_file() else []
-    return [json.loads(line) for line in lines]
+    return [*lines(FILE)]
 
 
 def tables(records: Sequence[Mapping[str, Any]]) -> str:
@@ -132,7 +132,7 @@ def tables(records: Sequence[Mapping[str, Any]]) -> str:
         rows += [[case, name, *_row(its, name)] for name in ESTIMATORS]
     rows += [["all", name, *_row(records, name)] for name in ESTIMATORS]
     headings = ["scene-views", "estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank", "runs"]
-    text = pages.table(headings, rows, left=2)
+    text = markdown(headings, rows, names=2)
     return f"{text}\nReliability of `{OURS}`, all scenes:\n\n{_reliability(records)}"
 
 
@@ -147,21 +147,21 @@ def _row(records: Sequence[Mapping[str, Any]], name: str) -> list[str]:
 
 
 def _reliability(records: Sequence[Mapping[str, Any]]) -> str:
-    rows = np.array([record[OURS]["reliability"] for record in records])
-    counts = rows[..., 0].sum(axis=0)
-    means = (rows[..., :1] * rows[..., 1:]).sum(axis=0) / counts.clip(1)[:, None]
-    lines = [
+    tenths = np.array([record[OURS]["reliability"] for record in records])
+    counts = tenths[..., 0].sum(axis=0)
+    means = (tenths[..., :1] * tenths[..., 1:]).sum(axis=0) / counts.clip(1)[:, None]
+    rows = [
         [f"{mean:.2f}", f"{right:.2f}", f"{count / counts.sum():.1%}"]
         for count, (mean, right) in zip(counts, means, strict=True)
         if count
     ]
-    return pages.table(["confidence", "share of right pixels", "of all pixels"], lines, left=0)
+    return markdown(["confidence", "share of right pixels", "of all pixels"], rows, names=0)
 
 
 def summary(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the documentation: means over scenes and seeds."""
     rows = [[f"`{name}`", *_row(records, name)[:-1]] for name in ESTIMATORS]
-    text = pages.table(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
+    text = markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
     return f"{text}\n{_reliability(records)}"
 
 
@@ -221,9 +221,7 @@ def main() -> None:
     known = {(record["case"], record["seed"]) for record in recorded()}
     for seed, case in product(SEEDS[: arguments.seeds], CASES):
         if (case, seed) not in known:
-            line = json.dumps(measured(case, seed))
-            with FILE.open("a", encoding="utf-8") as file:
-                file.write(f"{line}\n")
+            append(measured(case, seed), FILE)
             print(case, seed, flush=True)
     records = recorded()
     print(tables(records))

@@ -22,7 +22,6 @@ from unittest.mock import patch
 import pyopencl as cl
 import torch
 from rich.console import Console
-from rich.table import Table
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -37,6 +36,7 @@ from core_rasterizer import (
     photometric_loss,
 )
 from core_rasterizer.device import Program
+from stereogs.experiments.showing.score_table import markdown
 
 OUT = Path(__file__).parent / "out" / "engine.json"
 COUNTS = (10_000, 50_000, 126_000)
@@ -120,8 +120,8 @@ def stages(
     workload, run = Workload(count, device), Program.run
     work(workload)
 
-    def kept(program: Program, kernel: str, *arguments: Any) -> None:
-        events.append((kernel, run(program, kernel, *arguments)))
+    def kept(program: Program, kernel: str, *size: Any, **arguments: Any) -> None:
+        events.append((kernel, run(program, kernel, *size, **arguments)))
 
     with patch.object(Program, "run", kept):
         for _ in range(repeats):
@@ -277,32 +277,20 @@ def measure(device: Device) -> dict[str, Any]:
 
 def show(result: dict[str, Any]) -> None:
     """Print the figures as tables."""
-    console = Console()
-    console.print(f"[bold]{result['device']}[/], {WIDTH}x{HEIGHT}, SH degree 3, medians in ms")
+    print(f"{result['device']}, {WIDTH}x{HEIGHT}, SH degree 3, medians in ms\n")
     known = {count: Yardsticks(**ms) for count, ms in result["yardsticks_ms"].items()}
-    table = Table("", *(f"N = {int(count):,}" for count in known))
+    rows, shown = [], ["device", "size", "yardsticks_ms"]
     for name in ("forward", "forward_backward", "iteration"):
+        shown.append(f"{name}_ms")
         times = result[f"{name}_ms"]
-        table.add_row(name, *(f"{value:.1f}" for value in times.values()))
+        rows.append([name, *(f"{value:.1f}" for value in times.values())])
         ratios = [known[count].ratios(value) for count, value in times.items()]
         for unit, cells in zip(("copies", "Adam steps"), zip(*ratios, strict=True), strict=True):
-            table.add_row(f"  in {unit}", *cells)
-    console.print(table)
-    for name in (
-        "fixed_cost_ms",
-        "stages_ms",
-        "ratios",
-        "options_over_plain",
-        "growth_with_count_ms",
-        "growth_with_pixels_ms",
-        "growth_with_pixels_ms_per_megapixel",
-        "growth_with_pixels_peak_memory_mb",
-        "peak_memory_mb",
-    ):
-        rows = Table(name, "")
-        for key, value in result[name].items():
-            rows.add_row(key, f"{value:.2f}")
-        console.print(rows)
+            rows.append([f"in {unit}", *cells])
+    print(markdown(["", *(f"N = {int(count):,}" for count in known)], rows))
+    for name, figures in result.items():
+        if name not in shown:
+            print(markdown([name, ""], [[key, f"{x:.2f}"] for key, x in figures.items()]))
 
 
 def main() -> None:

@@ -20,9 +20,8 @@ import torch
 from rich.console import Console
 from torch import Tensor
 
-from benchmarks.error_report import print_tables, write_docs
+from benchmarks.error_report import tables, write_docs
 from benchmarks.garden import garden
-from benchmarks.sparse_adam import measure_sparse_adam
 from benchmarks.surfaces import surfaces
 from benchmarks.switches import EXACT, Overrides, Setting, Switch, build, switches
 from core_rasterizer import Camera, Device, GaussianModel, open_device
@@ -39,7 +38,7 @@ Lap = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Rendered:
     """The colour image and the gradients of a fixed loss with a setting, in double."""
 
     rgb: Tensor
@@ -47,7 +46,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Row:
+class SwitchRow:
     """One setting: time relative to the default's, and errors relative to the switch's baseline."""
 
     switch: str
@@ -97,9 +96,9 @@ class Subject:
         self.rgb = rendering.rgb.detach()
         return middle - begin, time.perf_counter() - middle
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> Rendered:
         self.lap()
-        return Outcome(
+        return Rendered(
             self.rgb.double(), {name: self.model.gradient(name).double() for name in PARAMETERS}
         )
 
@@ -114,7 +113,7 @@ def relative(values: Tensor, truth: Tensor) -> float:
     return float((values - truth).norm() / truth.norm().clamp(min=1e-300))
 
 
-def compare(outcome: Outcome, baseline: Outcome, truth: Outcome) -> dict[str, float]:
+def compare(outcome: Rendered, baseline: Rendered, truth: Rendered) -> dict[str, float]:
     """The errors of a row."""
     errors = (outcome.rgb - baseline.rgb).abs().flatten() / baseline.rgb.abs().max()
     return {
@@ -136,10 +135,10 @@ class SceneBenchmark:
         self.default = Subject(model, camera, Setting("default"))
         self.default_outcome = self.default.outcome()
         self.default_laps: list[Lap] = []
-        self._double: dict[tuple[tuple[str, float], ...], Outcome] = {}
+        self._double: dict[tuple[tuple[str, float], ...], Rendered] = {}
         self.truth = self.double(EXACT)
 
-    def double(self, overrides: Overrides) -> Outcome:
+    def double(self, overrides: Overrides) -> Rendered:
         """Return the outcome of double-precision kernels."""
         key = tuple(sorted(overrides.items()))
         if key not in self._double:
@@ -162,7 +161,7 @@ class SceneBenchmark:
             median(sum(theirs) / sum(ours) for ours, theirs in laps),
         )
 
-    def row(self, switch: Switch, setting: Setting) -> Row:
+    def row(self, switch: Switch, setting: Setting) -> SwitchRow:
         """Measure one setting; the default is not timed against itself."""
         subject = Subject(self.model, self.camera, setting)
         outcome = subject.outcome()
@@ -171,7 +170,7 @@ class SceneBenchmark:
         )
         times = (1.0, 1.0, 1.0) if setting.default else self.race(subject)
         errors = compare(outcome, baseline, self.truth)
-        return Row(switch.name, setting.label, setting.default, *times, **errors)
+        return SwitchRow(switch.name, setting.label, setting.default, *times, **errors)
 
     def measure(self) -> dict[str, Any]:
         """Return rows of all settings, the default's milliseconds, and ratios of the default to itself."""
@@ -203,8 +202,7 @@ def measure(device: Device) -> dict[str, Any]:
     for name, (gaussians, cameras) in scenes.items():
         Console(stderr=True).print(name, style="dim")
         model = GaussianModel(gaussians, device)
-        scene = SceneBenchmark(model, cameras[0]).measure()
-        result["scenes"][name] = scene | {"sparse_adam": measure_sparse_adam(model, cameras)}
+        result["scenes"][name] = SceneBenchmark(model, cameras[0]).measure()
     return result
 
 
@@ -216,7 +214,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     result = measure(open_device(arguments.device))
-    print_tables(result)
+    print(tables(result))
     OUT.parent.mkdir(parents=True, exist_ok=True)
     OUT.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     Console().print(f"written to {OUT}")

@@ -89,10 +89,7 @@ def _points(scene: dict[str, Any], axes: Axes) -> list[Point]:
             axes.plot(time, error, "o", color=color, markerfacecolor=face, markersize=6)
             suffix = " (default)" if row["default"] else ""
             points.append((time, error, f"{name}: {row['setting']}{suffix}", color))
-    adam = scene["sparse_adam"]
-    axes.plot(adam["time_ratio"], adam["image_999"], "s", color="black", markersize=6)
-    label = f"sparse Adam, {adam['steps']} steps"
-    return [*points, (adam["time_ratio"], adam["image_999"], label, "black")]
+    return points
 
 
 def _label_crowd(axes: Axes, points: list[Point]) -> None:

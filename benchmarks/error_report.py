@@ -5,14 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks import pages
+from stereogs.experiments.showing.score_table import markdown
 
-WIDTH = 130
-"""Characters of the widest table; a narrower terminal wraps or scrolls."""
 TARGET = "bench-error"
 PAGE = pages.DOCS / "run_time.md"
 PICTURE = pages.DOCS / "images" / "engine_error.png"
@@ -28,15 +23,6 @@ COLUMNS = (
     "image dB",
     "gradient",
     "to truth dB",
-)
-ADAM_COLUMNS = (
-    "Adam",
-    "step ms",
-    "iteration",
-    "fit dB",
-    "movement",
-    "image max",
-    "image 99.9 %",
 )
 SCENES = {
     "surfaces": "flat discs on wavy walls, generated",
@@ -62,26 +48,20 @@ Each approximation of the engine is switched alone; its time and its error are c
 - If a Gaussian is within rounding of a threshold, float and double decide differently. A few pixels then
   differ by up to 1/255 of a colour, visible in *image max* but not in *image 99.9 %*.
 - *SH degree* renders stored degree 3 with fewer bands. Skipped bands have no gradient, hence its error.
-- *Adam, visible only* skips values whose gradient is exactly zero. *movement* is its distance to Adam's
-  result over Adam's movement, after {steps} steps over all views from disturbed colours; *fit dB*
-  is the PSNR of the first view after them, *iteration* the time of a whole iteration over Adam's.
 
 Measured on {device}.
 """
 
 
-def print_tables(result: dict[str, Any]) -> None:
-    """The figures as tables on the terminal."""
-    console = Console()
-    console.width = max(console.width, WIDTH)
-    console.print(f"[bold]{result['device']}[/]")
-    for name, scene in result["scenes"].items():
-        console.print(f"\n[bold]{name}[/]: {_headline(name, scene)}")
-        for columns, rows in ((COLUMNS, _rows(scene)), (ADAM_COLUMNS, _adam_rows(scene))):
-            table = Table(*columns, box=SIMPLE)
-            for default, cells in rows:
-                table.add_row(*cells, style="bold" if default else "")
-            console.print(table)
+def tables(result: dict[str, Any]) -> str:
+    """Return all tables, with notes, in Markdown."""
+    scenes = result["scenes"]
+    itself = [ratio for scene in scenes.values() for ratio in scene["ratios_to_itself"]]
+    parts = [INTRODUCTION.format(low=min(itself), high=max(itself), device=result["device"])]
+    for name, scene in scenes.items():
+        parts.append(f"## {name.capitalize()}\n\n{_headline(name, scene)}\n")
+        parts.append(_markdown(COLUMNS, _rows(scene)))
+    return "\n".join(parts)
 
 
 def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
@@ -89,16 +69,7 @@ def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
     from benchmarks.error_picture import draw  # the tables do without matplotlib
 
     scenes = result["scenes"]
-    steps = next(iter(scenes.values()))["sparse_adam"]["steps"]
-    itself = [ratio for scene in scenes.values() for ratio in scene["ratios_to_itself"]]
-    parts = [
-        INTRODUCTION.format(low=min(itself), high=max(itself), steps=steps, device=result["device"])
-    ]
-    for name, scene in scenes.items():
-        parts.append(f"## {name.capitalize()}\n\n{_headline(name, scene)}\n")
-        parts.append(_markdown(COLUMNS, _rows(scene)))
-        parts.append(_markdown(ADAM_COLUMNS, _adam_rows(scene)))
-    file = pages.write_tables("error", "Run time against error", TARGET, "\n".join(parts))
+    file = pages.write_tables("error", "Run time against error", TARGET, tables(result))
     pages.rewrite(PAGE, pages.marks(TARGET), summary(scenes))
     name, scene = list(scenes.items())[-1]
     draw(scene, f"{name}, {scene['gaussians']:,} Gaussians, {result['device']}", PICTURE)
@@ -126,7 +97,7 @@ def summary(scenes: dict[str, Any]) -> str:
         for settings in zip(*of_scenes, strict=True)
         if not settings[0]["default"]
     ]
-    return pages.table(headings, rows, left=2)
+    return markdown(headings, rows, names=2)
 
 
 def _headline(name: str, scene: dict[str, Any]) -> str:
@@ -157,19 +128,6 @@ def _rows(scene: dict[str, Any]) -> list[tuple[bool, list[str]]]:
     ]
 
 
-def _adam_rows(scene: dict[str, Any]) -> list[tuple[bool, list[str]]]:
-    adam = scene["sparse_adam"]
-    dense = ["all", f"{adam['dense_ms']:.2f}", "1.00", _decibel(adam["dense_psnr"]), "0", "0", "0"]
-    sparse = [
-        "visible only",
-        f"{adam['sparse_ms']:.2f}",
-        f"{adam['time_ratio']:.2f}",
-        _decibel(adam["sparse_psnr"]),
-        *(_small(adam[name]) for name in ("movement", "image_max", "image_999")),
-    ]
-    return [(True, dense), (False, sparse)]
-
-
 def _small(error: float) -> str:
     return f"{error:.1e}" if error else "0"
 
@@ -186,4 +144,4 @@ def _markdown(columns: tuple[str, ...], rows: list[tuple[bool, list[str]]]) -> s
         ]
         for default, cells in rows
     ]
-    return pages.table(columns, marked, left=len(columns))
+    return markdown(columns, marked, names=len(columns))

@@ -22,9 +22,9 @@ from pathlib import Path
 from statistics import fmean
 from time import process_time
 
-from benchmarks import pages
-from benchmarks.left_out_scenes import CHANGES, OVERRIDES, thinned
-from benchmarks.results_plan import PIPELINES
+from benchmarks.left_out_scenes import OVERRIDES, half, thinned
+from benchmarks.records import append, lines
+from benchmarks.trainings import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
 from registry.pipeline.parts import Parts
@@ -33,6 +33,7 @@ from registry.runs.evaluation import evaluate
 from registry.training.assembly import assemble
 from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
+from stereogs.experiments.showing.score_table import markdown
 from stereogs.session import build_pipeline, load_scene
 
 OUT = Path(__file__).parent / "out" / "left_out.jsonl"
@@ -54,12 +55,12 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Record:
+class VariantScore:
     """One training.
 
     Args:
         case: Data set and number of training views before some are held out.
-        changes: Changes of the scene, separated by commas; see `benchmarks.left_out_scenes`.
+        changes: "half" for photographs of half size, otherwise empty.
         digest: Digest of the pipeline.
         seed: Seed of the training.
         psnr: Mean over the held-out views, dB.
@@ -83,23 +84,28 @@ class Record:
 
 
 @dataclass(eq=False)
-class Bench:
+class VariantTrainings:
     """Trains variants of pipelines; loads shared scenes and computes shared first points once.
 
     Args:
         device: Device of the trainings.
-        changes: Names of `left_out_scenes.CHANGES`, applied to each scene in order.
+        halved: Whether photographs have half their size, for a quarter of the time.
     """
 
     device: Device
-    changes: tuple[str, ...]
+    halved: bool = False
 
     def __post_init__(self) -> None:
         self._points: dict[str, PointCloud] = {}
         self._scene = cache(self._load)
 
+    @property
+    def changes(self) -> str:
+        """The changes of the scenes, for records."""
+        return "half" if self.halved else ""
+
     @one_torch_thread()
-    def trial(self, case: str, pipeline: Pipeline) -> Record:
+    def trial(self, case: str, pipeline: Pipeline) -> VariantScore:
         """Train one pipeline on one case."""
         scene = self._scene(case)
         pipeline = pipeline.for_views(len(scene.train))
@@ -115,9 +121,9 @@ class Bench:
         trained = process_time()
         test = evaluate(model, scene, scene.test, parts["metrics"]).mean
         train = evaluate(model, scene, scene.train, parts["metrics"]).mean
-        return Record(
+        return VariantScore(
             case=case,
-            changes=",".join(self.changes),
+            changes=self.changes,
             digest=pipeline_digest(pipeline),
             seed=settings.seed,
             psnr=_number(test["psnr"]),
@@ -131,9 +137,7 @@ class Bench:
     def _load(self, case: str) -> Scene:
         pipeline = build_pipeline(PIPELINES / "weightfree_fast.yaml", OVERRIDES[case])
         scene = thinned(load_scene(pipeline, device=self.device))
-        for name in self.changes:
-            scene = CHANGES[name](scene)
-        return scene
+        return half(scene) if self.halved else scene
 
     def _first_points(
         self, case: str, pipeline: Pipeline, parts: Parts, scene: Scene
@@ -154,26 +158,31 @@ def _number(score: float | None) -> float:
 
 
 def measure(
-    bench: Bench, pipeline: Path, variants: Sequence[Variant], cases: Sequence[str], seeds: int
-) -> Iterator[tuple[Variant, Record]]:
+    bench: VariantTrainings,
+    pipeline: Path,
+    variants: Sequence[Variant],
+    cases: Sequence[str],
+    seeds: int,
+) -> Iterator[tuple[Variant, VariantScore]]:
     """Yield every variant on every case with every seed; train those without a record."""
-    known = {(record.case, record.changes, record.digest): record for record in _recorded()}
+    records = (VariantScore(**values) for values in lines(OUT))
+    known = {(record.case, record.changes, record.digest): record for record in records}
     for case in cases:
         for seed in range(seeds):
             for variant in variants:
                 overrides = [*variant.overrides, f"training.seed={seed}"]
                 built = build_pipeline(pipeline, overrides)
-                key = (case, ",".join(bench.changes), pipeline_digest(built))
+                key = (case, bench.changes, pipeline_digest(built))
                 if key not in known:
                     known[key] = bench.trial(case, built)
-                    _record(known[key])
+                    append(asdict(known[key]), OUT)
                 yield variant, known[key]
 
 
-def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]) -> str:
+def table(results: Sequence[tuple[Variant, VariantScore]], variants: Sequence[Variant]) -> str:
     """Return means of each variant and its gain over the first, on the same cases and seeds."""
     headings = ["variant", "PSNR", "SSIM", "gain dB, mean", "by case", "training views", "CPU s"]
-    lines = []
+    cells = []
     rows = {v.name: [r for one, r in results if one == v] for v in variants}
     first = rows[variants[0].name]
     for name, records in rows.items():
@@ -183,7 +192,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
             fmean(g for g, r in zip(gains, records, strict=True) if r.case == case)
             for case in cases
         ]
-        lines.append(
+        cells.append(
             [
                 name,
                 f"{fmean(r.psnr for r in records):.2f}",
@@ -195,19 +204,7 @@ def table(results: Sequence[tuple[Variant, Record]], variants: Sequence[Variant]
                 f"{fmean(r.gaussians for r in records):,.0f}",
             ]
         )
-    return pages.table([*headings, "Gaussians"], lines)
-
-
-def _recorded() -> list[Record]:
-    if not OUT.is_file():
-        return []
-    return [Record(**json.loads(line)) for line in OUT.read_text().splitlines()]
-
-
-def _record(record: Record) -> None:
-    OUT.parent.mkdir(exist_ok=True)
-    with OUT.open("a") as file:
-        file.write(json.dumps(asdict(record)) + "\n")
+    return markdown([*headings, "Gaussians"], cells)
 
 
 def main() -> int:
@@ -218,11 +215,9 @@ def main() -> int:
         "--cases", default=DEFAULT_CASES, help="separated by commas; of: " + ", ".join(OVERRIDES)
     )
     parser.add_argument("--seeds", type=int, default=1, help="number of seeds")
-    parser.add_argument(
-        "--change", action="append", default=[], choices=CHANGES, help="change of the scenes"
-    )
+    parser.add_argument("--half", action="store_true", help="photographs of half their size")
     arguments = parser.parse_args()
-    bench, results = Bench(open_device(), tuple(arguments.change)), []
+    bench, results = VariantTrainings(open_device(), arguments.half), []
     cases = arguments.cases.split(",")
     for variant, record in measure(
         bench, arguments.pipeline, arguments.variants, cases, arguments.seeds

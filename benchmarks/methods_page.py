@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from benchmarks import pages
 from benchmarks.cells import (
     NONE,
     commonest_processor,
@@ -17,12 +16,13 @@ from benchmarks.cells import (
     spread,
     time_ratio,
 )
-from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, Method, MethodRun, Points
-from benchmarks.results_plan import Case
-from benchmarks.training_records import Record as AnyRecord, processor
+from benchmarks.methods_plan import BASELINE, GROUPS, METHODS, Group, MethodTraining
+from benchmarks.records import Record as AnyRecord
+from benchmarks.trainings import Case, Method, Points
 from stereogs.experiments.comparing.paper_tables import PaperTables, paper_tables
+from stereogs.experiments.showing.score_table import markdown
 
-Record = AnyRecord[MethodRun]
+Record = AnyRecord[MethodTraining]
 Records = Sequence[Record]
 
 PAPER = "stereogs"
@@ -56,7 +56,7 @@ def summary(records: Records) -> str:
         own = [record for record in records if record.run.method is method]
         if own:
             rows.append([method.title, *(cell(method, own) for _, cell in columns)])
-    return pages.table(["method", *(heading for heading, _ in columns)], rows)
+    return markdown(["method", *(heading for heading, _ in columns)], rows)
 
 
 def _psnr_of(cases: Sequence[Case], points: Points) -> Callable[[Method, Records], str]:
@@ -101,7 +101,7 @@ def tables(records: Records, planned: int) -> str:
 def _table(group: Group, records: Records, paper: PaperTables) -> str:
     scenes = [case.data for case in group.cases]
     machine = commonest_processor(records)
-    several = len(set(map(processor, records))) > 1
+    several = len({record.processor for record in records}) > 1
     scores = scores_shown(records)
     headings = ["method", "seeds", *scenes, "mean", "to 3DGS", *scores.values(), "Gaussians"]
     headings += [f"CPU s, {machine}" if several else "CPU s", f"CPU / {BASELINE.title}", "MB"]
@@ -113,7 +113,7 @@ def _table(group: Group, records: Records, paper: PaperTables) -> str:
         if own:
             cells = _cells(group.cases, own, baseline, list(scores), machine)
             rows.append([method.title, *cells, *_published(group, method, paper)])
-    return pages.table(headings, rows)
+    return markdown(headings, rows)
 
 
 def _cells(
@@ -124,7 +124,7 @@ def _cells(
     machine: str,
 ) -> list[str]:
     by_scene = [[record for record in own if record.run.case is case] for case in cases]
-    on_machine = [[r for r in records if processor(r) == machine] for records in by_scene]
+    on_machine = [[r for r in records if r.processor == machine] for records in by_scene]
     is_baseline = own[0].run.method is BASELINE
 
     def mean(number: Callable[[Record], float | None], form: str) -> str:

@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
-from benchmarks.planned_training import written_digest
-from benchmarks.results_plan import PIPELINES, Case, cases
+from benchmarks.results_plan import cases
+from benchmarks.trainings import (
+    PIPELINES,
+    POINTS,
+    SEEDS,
+    Case,
+    Method,
+    Points,
+    Training,
+    written_digest,
+)
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override, set_value
-from registry.pipeline.pipeline import Pipeline, build_pipeline
+from registry.pipeline.pipeline import checked_pipeline
 from registry.pipeline.yaml_source import Node, Place, read
 
-Points = Literal["own", "same"]
-"""First points: those of the method, or the same for all methods."""
-
-POINTS: tuple[Points, ...] = ("own", "same")
 SAME_POINTS = Path(__file__).with_name("same_points.yaml")
 """The initializer of the *same* points."""
 AUTHORS_SETTINGS = Path(__file__).with_name("authors_settings.yaml")
@@ -41,64 +45,22 @@ class Group:
     seeds: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Method:
-    """A row of the table.
-
-    Args:
-        title: Name in tables.
-        file: File of the pipeline.
-        paper: Row of the StereoGS paper's tables, or None.
-        points: First points it is trained from.
-    """
-
-    title: str
-    file: Path
-    paper: str | None = None
-    points: tuple[Points, ...] = POINTS
-
-
 @dataclass(frozen=True, eq=False)
-class MethodRun:
-    """One training.
+class MethodTraining(Training):
+    """A training of a method from some first points."""
 
-    Args:
-        digest: Digest of the pipeline, independent of the location of the data.
-    """
-
-    method: Method
-    points: Points
-    case: Case
-    seed: int
-    pipeline: Pipeline
-    digest: str
-    without: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of its record and of its folder of outputs."""
-        return f"{self.method.file.stem}_{self.points}_{self.case.data}_{self.seed}"
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Its description in a record."""
-        return {
-            "method": self.method.file.stem,
-            "points": self.points,
-            "data": self.case.data,
-            "seed": self.seed,
-        }
+    points: Points = "own"
 
 
 def _short(title: str, name: str, paper: str | None = None) -> Method:
-    return Method(title, PIPELINES / "methods" / f"{name}-short.yaml", paper)
+    return Method(title, PIPELINES / "methods" / f"{name}-short.yaml", paper=paper)
 
 
 BASELINE = _short("3DGS", "3dgs", "3dgs")
-STEREOGS = Method("StereoGS", PIPELINES / "stereogs_short.yaml", "stereogs")
+STEREOGS = Method("StereoGS", PIPELINES / "stereogs_short.yaml", paper="stereogs")
 NETWORKED = (
     STEREOGS,
-    Method("StereoGS, dropout", PIPELINES / "stereogs_dropout_short.yaml", "stereogs_drop"),
+    Method("StereoGS, dropout", PIPELINES / "stereogs_dropout_short.yaml", paper="stereogs_drop"),
 )
 """Methods whose networks dominate the time."""
 METHODS = (
@@ -125,7 +87,7 @@ METHODS = (
 
 
 GROUPS = (
-    Group("", cases("llff_fern-3", "llff_flower-3"), POINTS, (0, 1, 2)),
+    Group("", cases("llff_fern-3", "llff_flower-3"), POINTS, SEEDS),
     Group(
         "around objects", cases("dtu_scan24-3", "dtu_scan65-3", "blender_lego-8"), ("same",), (0,)
     ),
@@ -134,7 +96,7 @@ GROUPS = (
 
 def planned_runs(
     methods: Sequence[Method], groups: Sequence[Group], plugins: Plugins
-) -> list[MethodRun]:
+) -> list[MethodTraining]:
     """Return all runs, sorted by seed; within a group `NETWORKED` come last.
 
     Raises:
@@ -156,7 +118,7 @@ def planned_runs(
 
 def planned_run(
     method: Method, points: Points, case: Case, seed: int, plugins: Plugins
-) -> MethodRun:
+) -> MethodTraining:
     """Return the checked training of a method on a case.
 
     Raises:
@@ -169,8 +131,12 @@ def planned_run(
     metrics = "metrics=[psnr, ssim, lpips]"
     for override in (*case.overrides, metrics, f"training.seed={seed}"):
         apply_override(tree, override)
-    pipeline = build_pipeline(tree, plugins)
-    return MethodRun(method, points, case, seed, pipeline, written_digest(tree))
+    pipeline = checked_pipeline(tree, plugins)
+    file = method.file.stem
+    name = f"{file}_{points}_{case.data}_{seed}"
+    identity = {"method": file, "points": points, "data": case.data, "seed": seed}
+    digest = written_digest(tree)
+    return MethodTraining(name, identity, case, method, seed, pipeline, digest, points=points)
 
 
 def as_authors_set_it(tree: Node, method: Method, case: Case) -> None:

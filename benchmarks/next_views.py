@@ -11,15 +11,14 @@ stopped. With `--write-docs` rewrites the tables.
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from time import process_time
 
 from benchmarks.next_views_page import SUGGESTED, Measured, summary, table, write_page
 from benchmarks.next_views_rules import RULES, Chosen, suggested
 from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
-from benchmarks.results_plan import check_data
+from benchmarks.records import RECORDS, append, lines
+from benchmarks.trainings import check_data
 from registry import RunError
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
@@ -28,13 +27,13 @@ from registry.training.trainer import one_torch_thread
 from stereogs.session import train
 from stereogs.verbs.next_views.gain import ExpectedGain
 
-RECORDS = Path(__file__).parent / "records" / "next_views.jsonl"
+FILE = RECORDS / "next_views.jsonl"
 LAST = 6
 """Photographs at the end."""
 
 
 @dataclass(frozen=True)
-class Training:
+class ScoredSet:
     """One set of photographs.
 
     Args:
@@ -69,7 +68,7 @@ class Suggestion:
     cpu_seconds: float
 
 
-class Bench:
+class RecordedSets:
     """Trains each set once, and remembers what earlier commands measured.
 
     Args:
@@ -100,7 +99,7 @@ class Bench:
                 chosen = suggested(scene, views, run)
             known = Suggestion(*key, self._code, chosen, round(process_time() - begin, 2))
             self._suggestions[key] = known
-            _append(known)
+            append(asdict(known), FILE)
         return known.next
 
     def _trained(self, scene: PoolScene, views: Chosen) -> Run:
@@ -115,8 +114,8 @@ class Bench:
                 raise RunError("the training was stopped", where=scene.name, fix="start it again")
             self._newest = key, run
             if key not in self._trainings:
-                self._trainings[key] = Training(*key, _psnr(run), seconds, run.hash)
-                _append(self._trainings[key])
+                self._trainings[key] = ScoredSet(*key, _psnr(run), seconds, run.hash)
+                append(asdict(self._trainings[key]), FILE)
         return self._newest[1]
 
 
@@ -133,22 +132,15 @@ def _psnr(run: Run) -> float:
     return round(mean, 4)
 
 
-def _append(record: Training | Suggestion) -> None:
-    RECORDS.parent.mkdir(exist_ok=True)
-    with RECORDS.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(record)) + "\n")
-
-
 def read_records() -> tuple[
-    dict[tuple[str, Chosen], Training], dict[tuple[str, Chosen], Suggestion]
+    dict[tuple[str, Chosen], ScoredSet], dict[tuple[str, Chosen], Suggestion]
 ]:
     """Return the trainings and the suggestions by scene and set; the last of each counts."""
     trainings, suggestions = {}, {}
-    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
-        values = json.loads(line)
+    for values in lines(FILE):
         key = values["scene"], tuple(values.pop("views"))
         if "psnr" in values:
-            trainings[key] = Training(views=key[1], **values)
+            trainings[key] = ScoredSet(views=key[1], **values)
         else:
             suggestions[key] = Suggestion(views=key[1], **values)
     return trainings, suggestions
@@ -158,7 +150,7 @@ class NotRecorded(Exception):
     """A training is missing that must not be made."""
 
 
-def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
+def paths(bench: RecordedSets, scene: PoolScene) -> dict[str, list[float]]:
     """Return the PSNR after the start and each further photograph, by rule, as far as there are records."""
     curves: dict[str, list[float]] = {}
     for name in (SUGGESTED, *RULES):
@@ -174,7 +166,7 @@ def paths(bench: Bench, scene: PoolScene) -> dict[str, list[float]]:
     return curves
 
 
-def every_fourth(bench: Bench, scene: PoolScene) -> list[float]:
+def every_fourth(bench: RecordedSets, scene: PoolScene) -> list[float]:
     """Return the PSNR of every choice of the 4th photograph."""
     pool = range(len(scene.cameras))
     return [bench.psnr(scene, (*scene.start, k)) for k in pool if k not in scene.start]
@@ -188,7 +180,7 @@ def main() -> None:
     arguments = parser.parse_args()
     names = arguments.scenes.split(",")
     check_data(names)
-    bench, measured = Bench(train_missing=not arguments.finished), []
+    bench, measured = RecordedSets(train_missing=not arguments.finished), []
     for name in names:
         scene = pool_scene(name)
         measured.append(Measured(name, paths(bench, scene), every_fourth(bench, scene)))

@@ -9,6 +9,7 @@ from statistics import fmean
 import numpy as np
 
 from benchmarks import pages
+from stereogs.experiments.showing.score_table import markdown
 
 PAGE = pages.DOCS / "next_photograph.md"
 SUGGESTED, RANDOM = "suggested", "random"
@@ -66,7 +67,7 @@ def table(measured: Sequence[Measured]) -> str:
         start, best = f"{one.curves[SUGGESTED][0]:.2f}", f"{max(one.fourth):.2f}"
         rows.append([one.scene, start, *cells, best, f"{100 * one.gap:.0f} %"])
     headings = ["scene", "3 photographs", *RULES, "best 4th", "share of the way"]
-    return pages.table(headings, rows)
+    return markdown(headings, rows)
 
 
 def summary(measured: Sequence[Measured]) -> str:
@@ -82,7 +83,7 @@ def summary(measured: Sequence[Measured]) -> str:
         if scenes:
             gap = interval([100 * m.gap for m in scenes], digits=0)
             rows.append([f"from the mean choice to the best{title}, %", gap, "", ""])
-    return pages.table(["", "4th", "5th", "6th"], rows)
+    return markdown(["", "4th", "5th", "6th"], rows)
 
 
 def _cell(values: Sequence[float | None]) -> str:

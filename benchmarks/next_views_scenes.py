@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from benchmarks.left_out_scenes import half
-from benchmarks.results_plan import DATA
+from benchmarks.trainings import DATA
 from core_rasterizer import Camera
 from registry import Scene, View
 from registry.toolkit.photos import evenly_spaced
@@ -48,11 +48,9 @@ SOURCES = {
     "mip360_bonsai": Source(
         "llff", "train_views: 48, images: images_800, bounds: estimate", halvings=2
     ),
-    "mview_temple": Source("nerfstudio", _ALL),
 }
 """Sources by data set."""
-SCENES = tuple(name for name in SOURCES if name != "mview_temple")
-"""The scenes of the proof."""
+SCENES = tuple(SOURCES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +73,10 @@ class PoolScene:
         """Indices of the first photographs."""
         return tuple(evenly_spaced(list(range(len(self.whole.train))), START))
 
-    def of(self, chosen: Sequence[int], *, test_pool: bool = False) -> Scene:
-        """Return the scene that trains on some photographs.
-
-        Args:
-            test_pool: If True, the other photographs of the pool test, instead of the test views.
-        """
-        pool = self.whole.train
-        rest = tuple(view for k, view in enumerate(pool) if k not in chosen)
-        train = tuple(pool[k] for k in sorted(chosen))
-        return replace(self.whole, train=train, test=rest if test_pool else self.whole.test)
+    def of(self, chosen: Sequence[int]) -> Scene:
+        """Return the scene that trains on some photographs."""
+        train = tuple(self.whole.train[k] for k in sorted(chosen))
+        return replace(self.whole, train=train)
 
 
 @cache

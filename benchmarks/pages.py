@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from registry import RunError
@@ -10,16 +9,6 @@ from registry.system.files import write_text
 
 DOCS = Path(__file__).parent.parent / "docs"
 TABLES = Path(__file__).parent / "tables"
-
-
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a table.
-
-    Args:
-        left: Number of columns aligned to the left; the others are aligned to the right.
-    """
-    lines = [headings, ["---"] * left + ["---:"] * (len(headings) - left), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def marks(target: str) -> tuple[str, str]:

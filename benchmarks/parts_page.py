@@ -6,7 +6,6 @@ import statistics
 from collections.abc import Mapping, Sequence
 from itertools import product
 
-from benchmarks import pages
 from benchmarks.cells import HEADINGS, NONE, count, gain, mean_over_scenes, score_of, spread
 from benchmarks.parts_plan import (
     CLASSICAL,
@@ -14,14 +13,15 @@ from benchmarks.parts_plan import (
     NOTHING,
     TABLES,
     TERM_TABLE,
-    PartsRun,
+    PartsTraining,
     Row,
     Table,
 )
-from benchmarks.training_records import Record as AnyRecord
+from benchmarks.records import Record as AnyRecord
 from stereogs.experiments.comparing.paper_tables import Ablation, paper_tables
+from stereogs.experiments.showing.score_table import markdown
 
-Record = AnyRecord[PartsRun]
+Record = AnyRecord[PartsTraining]
 Records = Sequence[Record]
 
 PAPER = "stereogs"
@@ -38,7 +38,7 @@ columns after it are means over scenes. *inferences* is the number of inferences
 with the paper's networks and 30,000 iterations, from
 {source}.
 
-{count} Runs that differ in the stereo term only share the iterations before the term starts; each ends
+{count} Some runs that differ in the stereo term only shared the iterations before the term starts; each ended
 in the bits of a whole run.
 """
 
@@ -91,7 +91,7 @@ def _table(table: Table, rows: dict[str, list[Record]]) -> str:
         cells = _scores(table, records, rows.get(table.baseline, []), label)
         cells += _inferences(records) if table is TERM_TABLE else []
         lines.append([*first, *cells, *([_published(paper, label, table)] if paper else [])])
-    return pages.table(headings, lines, left)
+    return markdown(headings, lines, left)
 
 
 def _scores(table: Table, records: Records, baseline: Records, label: str) -> list[str]:
@@ -134,7 +134,7 @@ def _each_part(*of_tables: Mapping[str, Records]) -> str:
                     _papers_gain(paper, with_it, without),
                 ]
             )
-    return pages.table(["part", "added to", "with networks", "without", "paper"], lines, left=2)
+    return markdown(["part", "added to", "with networks", "without", "paper"], lines, names=2)
 
 
 def _label(on: Sequence[str]) -> str:

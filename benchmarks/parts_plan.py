@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 from pydantic import BaseModel
 
-from benchmarks.methods_plan import STEREOGS, Method, as_authors_set_it
-from benchmarks.results_plan import DATA, PIPELINES, SEEDS, Case, cases
+from benchmarks.methods_plan import STEREOGS, as_authors_set_it
+from benchmarks.results_plan import cases
+from benchmarks.trainings import DATA, MODELS, PIPELINES, SEEDS, Case, Method, Training, digest_of
 from registry.discovery import Plugins
 from registry.pipeline.edits import apply_override
 from registry.pipeline.pipeline import Pipeline
@@ -21,11 +21,7 @@ from stereogs.experiments.planning.description import read_description
 from stereogs.experiments.planning.making import make_plan
 from stereogs.experiments.planning.plan import Combination, Plan
 
-MODELS = "STEREOGS_MODELS"
-TERM = "regularizers.stereo_depth"
 METRICS = "metrics=[psnr, ssim, lpips, {use: lpips, name: lpips_alex, network: alex}]"
-LATE = (TERM, "priors.stereo")
-"""Items without effect before the stereo term starts."""
 NOTHING = "nothing"
 """The row with every toggle off."""
 
@@ -124,40 +120,19 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class PartsRun:
-    """One training.
+class PartsTraining(Training):
+    """A training of some rows.
 
     Args:
         rows: Lines that show it.
-        digest: Digest of the pipeline's settings, independent of the location of the data.
-        trunk: Digest without the `LATE` items; runs with the same trunk share their first iterations.
-        parts_at: First iteration of the stereo term, or None.
     """
 
-    rows: tuple[Row, ...]
-    case: Case
-    seed: int
-    pipeline: Pipeline
-    digest: str
-    trunk: str
-    parts_at: int | None
-    without: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of its record and of its folder of outputs."""
-        return f"{self.case.data}_{self.seed}_{self.digest}"
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Its description in a record."""
-        first = self.rows[0]
-        return {"row": f"{first.table}: {first.label}", "data": self.case.data, "seed": self.seed}
+    rows: tuple[Row, ...] = ()
 
 
 def planned_runs(
     tables: Sequence[Table], plugins: Plugins, seeds: Sequence[int] = SEEDS
-) -> list[PartsRun]:
+) -> list[PartsTraining]:
     """Return all runs of some tables, sorted by seed.
 
     A pipeline of several rows is a single run.
@@ -165,7 +140,7 @@ def planned_runs(
     Raises:
         PipelineError: a file cannot be read or contradicts the protocol.
     """
-    runs: dict[tuple[str, int, str], PartsRun] = {}
+    runs: dict[tuple[str, int, str], PartsTraining] = {}
     for table in tables:
         found = [
             run
@@ -181,26 +156,9 @@ def planned_runs(
     return sorted(runs.values(), key=lambda run: run.seed)
 
 
-def shared_groups(waiting: Sequence[PartsRun]) -> list[list[PartsRun]]:
-    """Group runs that share a trunk until the stereo term starts, for one process each.
-
-    A run without the term joins the first group that has it.
-    """
-    due = {_trunk(run): run.parts_at for run in reversed(waiting) if run.parts_at is not None}
-    groups: dict[tuple[Any, ...], list[PartsRun]] = {}
-    for run in waiting:
-        parts_at = due.get(_trunk(run)) if run.parts_at is None else run.parts_at
-        groups.setdefault((*_trunk(run), parts_at), []).append(run)
-    return list(groups.values())
-
-
-def _trunk(run: PartsRun) -> tuple[str, int, str]:
-    return run.case.data, run.seed, run.trunk
-
-
 def _runs(
     table: Table, number: int, case: Case, seeds: int, plugins: Plugins
-) -> Iterator[PartsRun]:
+) -> Iterator[PartsTraining]:
     """The runs of one of the table's files."""
     file, only = table.files[number]
     path = PIPELINES / "ablations" / f"{file}.yaml"
@@ -214,15 +172,17 @@ def _runs(
         label = label_of(plan, run.combination)
         if only and label not in only:
             continue
-        terms = (item for item in run.pipeline if item.qualified_name == TERM)
-        yield PartsRun(
-            (Row(table.title, (number, plan.combinations.index(run.combination)), label),),
+        row = Row(table.title, (number, plan.combinations.index(run.combination)), label)
+        digest = _digest(run.pipeline)
+        yield PartsTraining(
+            f"{case.data}_{run.seed}_{digest}",
+            {"row": f"{table.title}: {label}", "data": case.data, "seed": run.seed},
             case,
+            table.method,
             run.seed,
             run.pipeline,
-            _digest(run.pipeline),
-            _digest(run.pipeline, LATE),
-            next((term.schedule.start for term in terms), None),
+            digest,
+            rows=(row,),
         )
 
 
@@ -233,20 +193,16 @@ def label_of(plan: Plan, combination: Combination) -> str:
     return ", ".join([*on, *chosen]) or NOTHING
 
 
-def _digest(pipeline: Pipeline, without: Collection[str] = ()) -> str:
+def _digest(pipeline: Pipeline) -> str:
     """Ten hexadecimal digits of a pipeline's settings, independent of the location of data and models."""
     content: list[Any] = [_set(pipeline.training)]
     content += [pipeline.protocol.written if pipeline.protocol else None]
-    content += [
-        [item.qualified_name, _set(item.host), _set(item.settings)]
-        for item in pipeline
-        if item.qualified_name not in without
-    ]
+    content += [[item.qualified_name, _set(item.host), _set(item.settings)] for item in pipeline]
     text = json.dumps(content, sort_keys=True)
     for variable in (DATA, MODELS):
         if place := os.environ.get(variable):
             text = text.replace(json.dumps(place)[1:-1], f"${{{variable}}}")
-    return hashlib.sha256(text.encode()).hexdigest()[:10]
+    return digest_of(text)
 
 
 def _set(settings: BaseModel) -> Any:

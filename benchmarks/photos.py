@@ -9,7 +9,6 @@ With `--write-docs` rewrites the tables.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from benchmarks import pages
 from benchmarks.photos_published import SCENES, Published, pictures
 from benchmarks.photos_scored import psnr_of_both
+from benchmarks.records import RECORDS, append, lines
 from registry.toolkit.networks import MODELS_VARIABLE
 from registry.toolkit.photos import (
     ColmapModel,
@@ -32,11 +32,14 @@ from registry.toolkit.photos import (
     longest_side,
     read_colmap_model,
 )
-from stereogs_plugins.scenes.photos.structure_from_motion import reconstruct
-from stereogs_plugins.scenes.photos.unposed_photos import MIN_PHOTOS, UnposedPhoto, image_index
+from stereogs.experiments.showing.score_table import markdown
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
+from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
 PAGE = pages.DOCS / "your_own_photographs.md"
-RECORDS = Path(__file__).parent / "records" / "photos.jsonl"
+FILE = RECORDS / "photos.jsonl"
 SETS = ("near 3", "3", "4", "near 6", "6", "8", "12")
 """Neighbouring pictures from the first third on, or evenly spaced ones; cheapest first."""
 _MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
@@ -59,7 +62,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Record:
+class CameraRecord:
     """Result of one case.
 
     Args:
@@ -93,7 +96,7 @@ def cases() -> Iterator[tuple[str, str, bool]]:
             yield scene, chosen, True
 
 
-def measure(scene: str, chosen: str, networks: bool) -> Record | None:
+def measure(scene: str, chosen: str, networks: bool) -> CameraRecord | None:
     """Estimate the cameras of a set of pictures; None if the scene has too few."""
     photos, published = pictures(scene)
     count = int(chosen.split()[-1])
@@ -115,7 +118,7 @@ def measure(scene: str, chosen: str, networks: bool) -> Record | None:
             errors = _errors(model, photos, published)
             true = [published[photo.path.stem] for photo in photos]
             psnr = psnr_of_both(model, photos, true)
-    return Record(scene, chosen, networks, count, placed, errors, seconds, psnr)
+    return CameraRecord(scene, chosen, networks, count, placed, errors, seconds, psnr)
 
 
 def _errors(
@@ -145,18 +148,17 @@ def _centers(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
-def read_records() -> dict[tuple[str, str, bool], Record]:
+def read_records() -> dict[tuple[str, str, bool], CameraRecord]:
     """Return the records by case."""
     found = {}
-    for line in RECORDS.read_text("utf-8").splitlines() if RECORDS.is_file() else ():
-        values = json.loads(line)
+    for values in lines(FILE):
         errors = values.pop("errors")
-        record = Record(**values, errors=Errors(**errors) if errors else None)
+        record = CameraRecord(**values, errors=Errors(**errors) if errors else None)
         found[record.case] = record
     return found
 
 
-def summary(records: dict[tuple[str, str, bool], Record]) -> str:
+def summary(records: dict[tuple[str, str, bool], CameraRecord]) -> str:
     """Return pictures placed and the largest rotation error, a row per scene and kind of search."""
 
     def cell(scene: str, chosen: str, networks: bool) -> str:
@@ -174,10 +176,10 @@ def summary(records: dict[tuple[str, str, bool], Record]) -> str:
         for networks, kind in ((False, "SIFT"), (True, "with networks"))
         if any(record.case[::2] == (scene, networks) for record in records.values())
     ]
-    return pages.table(["pictures of", "matches", *measured], rows, left=2)
+    return markdown(["pictures of", "matches", *measured], rows, names=2)
 
 
-def table(records: Iterable[Record]) -> str:
+def table(records: Iterable[CameraRecord]) -> str:
     """Return every record with all of its errors."""
     rows = []
     for record in records:
@@ -195,7 +197,7 @@ def table(records: Iterable[Record]) -> str:
         )
     headings = ["pictures of", "set", "matches", "placed", "rotation, median", "largest"]
     headings += ["position", "focal length", "CPU s", "PSNR", "with published cameras"]
-    return pages.table(headings, rows, left=3)
+    return markdown(headings, rows, names=3)
 
 
 def main() -> None:
@@ -213,14 +215,13 @@ def main() -> None:
         scene, chosen, networks = case
         plain = records.get((scene, chosen, False))
         if networks and plain is not None and plain.placed == plain.pictures:
-            record: Record | None = replace(plain, networks=True)  # they are not asked
+            record: CameraRecord | None = replace(plain, networks=True)  # they are not asked
         else:
             print(*case, flush=True)
             record = measure(*case)
         if record is not None:
             records[case] = record
-            with RECORDS.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(record)) + "\n")
+            append(asdict(record), FILE)
     listed = sorted(records.values(), key=lambda r: (SCENES.index(r.scene), SETS.index(r.chosen)))
     print(summary(records))
     if arguments.write_docs:

@@ -27,7 +27,8 @@ from registry.toolkit.photos import (
     estimate_bounds,
     longest_side,
 )
-from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, image_index
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
 PIPELINE = "weightfree_quick"
 SIZE = 320

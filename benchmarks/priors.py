@@ -12,12 +12,11 @@ import os
 from pathlib import Path
 
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
 from registry.toolkit.cache.entries import FOLDER_VARIABLE
+from stereogs.experiments.showing.score_table import markdown
 
 TARGET = "bench-priors"
 PAGE = pages.DOCS / "results.md"
@@ -77,19 +76,15 @@ def main() -> None:
     depth, seconds = priors_depth.table(rows), priors_depth.seconds_table(rows)
     if len(stereo) < 2:
         raise SystemExit("set STEREOGS_DATA to the folder that holds stereo_* and the photographs")
-    for lines in (stereo, depth, seconds):
-        table = Table(*lines[0])
-        for line in lines[1:]:
-            table.add_row(*line)
-        Console().print(table)
+    where = f"{device.name} ({device.platform})"
+    text = _STEREO.format(device=where, stereo=markdown(stereo[0], stereo[1:], names=2))
+    text += _DEPTH.format(
+        device=where,
+        depth=markdown(depth[0], depth[1:], names=2),
+        seconds=markdown(seconds[0], seconds[1:]),
+    )
+    print(text)
     if arguments.write_docs:
-        where = f"{device.name} ({device.platform})"
-        text = _STEREO.format(device=where, stereo=pages.table(stereo[0], stereo[1:], left=2))
-        text += _DEPTH.format(
-            device=where,
-            depth=pages.table(depth[0], depth[1:], left=2),
-            seconds=pages.table(seconds[0], seconds[1:]),
-        )
         pages.write_tables("priors", "Accuracy of prior models", TARGET, text)
         pages.rewrite(PAGE, pages.marks(TARGET), summary(stereo, depth))
 
@@ -104,12 +99,12 @@ def summary(stereo: list[list[str]], depth: list[list[str]]) -> str:
     pairs = list(dict.fromkeys(row[0] for row in stereo[1:]))
     bad = {(row[1], row[0]): row[4] for row in stereo[1:]}
     costs = dict.fromkeys(row[1] for row in stereo[1:])
-    first = pages.table(
+    first = markdown(
         ["`sgm`, % off by more than 2 px", *pairs],
         [[cost, *(bad[cost, pair] for pair in pairs)] for cost in costs],
     )
     whole = [[row[0], *row[2:]] for row in depth[1:] if row[1] in ("all", "object")]
-    return f"{first}\n{pages.table(['depth', *depth[0][2:]], whole)}"
+    return f"{first}\n{markdown(['depth', *depth[0][2:]], whole)}"
 
 
 if __name__ == "__main__":

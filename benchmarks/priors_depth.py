@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter  # type: ignore[attr-defined]
 from torch import Tensor
 
-from benchmarks.results_plan import CASES, DATA, PIPELINES
+from benchmarks.results_plan import CASES
+from benchmarks.trainings import DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, Scene, View
 from registry.priors import MultiViewDepthPrior
@@ -138,7 +139,7 @@ def filtered(scene: Scene, depths: Sequence[DepthImage]) -> list[DepthImage]:
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class PriorRow:
     """Confirmed depths of one prior in one scene.
 
     Args:
@@ -159,7 +160,7 @@ class Row:
     cpu_seconds: float
 
 
-def measure(device: Device, network: Path) -> list[Row]:
+def measure(device: Device, network: Path) -> list[PriorRow]:
     """Measure each prior in each scene whose data are present.
 
     Args:
@@ -174,7 +175,7 @@ def measure(device: Device, network: Path) -> list[Row]:
             seconds = (time.process_time() - begin) / len(maps)
             depths = [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
             for part, kept, right in _scores(known, filtered(known.scene, depths)):
-                rows.append(Row(known.name, part, name, kept, right, seconds))
+                rows.append(PriorRow(known.name, part, name, kept, right, seconds))
     return rows
 
 
@@ -297,7 +298,7 @@ def _even(view: View) -> Mask:
     return even
 
 
-def table(rows: Sequence[Row]) -> list[list[str]]:
+def table(rows: Sequence[PriorRow]) -> list[list[str]]:
     """Return a header and, for each part of each scene, a row with a cell for each prior."""
     names = list(dict.fromkeys(row.prior for row in rows))
     lines = [["scene", "of", *names]]
@@ -307,7 +308,7 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
     return lines
 
 
-def seconds_table(rows: Sequence[Row]) -> list[list[str]]:
+def seconds_table(rows: Sequence[PriorRow]) -> list[list[str]]:
     """Return a header and, for each scene, the CPU seconds of each prior for a view."""
     names = list(dict.fromkeys(row.prior for row in rows))
     lines = [["CPU seconds a view", *names]]
@@ -317,5 +318,5 @@ def seconds_table(rows: Sequence[Row]) -> list[list[str]]:
     return lines
 
 
-def _cell(row: Row) -> str:
+def _cell(row: PriorRow) -> str:
     return f"{row.kept:.0%}: {', '.join(f'{share:.1%}' for share in row.right)}"

@@ -6,13 +6,13 @@ import statistics
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TypeVar
 
-from benchmarks import pages
 from benchmarks.cells import NONE, count, gain, scores_shown, spread
-from benchmarks.results_plan import Measurement, Method
-from benchmarks.training_records import Record as AnyRecord
+from benchmarks.records import Record as AnyRecord
+from benchmarks.trainings import Method, Training
 from benchmarks.view_angles import recorded
+from stereogs.experiments.showing.score_table import markdown
 
-Record = AnyRecord[Measurement]
+Record = AnyRecord[Training]
 Records = Sequence[Record]
 Key = TypeVar("Key", bound=Hashable)
 Cells = Callable[[Records, Method], str]
@@ -49,7 +49,7 @@ def summary(records: Records) -> str:
         [name, *(cells(group, method) for _, cells in columns for method in methods)]
         for name, group in by_protocol(records).items()
     ]
-    return pages.table(["protocol", *headings], rows)
+    return markdown(["protocol", *headings], rows)
 
 
 def tables(records: Records, planned: int) -> str:
@@ -92,7 +92,7 @@ def _table(records: Records, names: Sequence[str], columns: Sequence[Cells]) -> 
         if len(by_case(group)) > 1:
             cells = [f"**{cells(group, method)}**" for _, method, cells in shown]
             lines.append([f"**mean of {protocol}**", str(group[0].run.case.views), "", *cells])
-    return pages.table(headings, lines)
+    return markdown(headings, lines)
 
 
 def _by_angle(records: Records) -> str:
@@ -114,7 +114,7 @@ def _by_angle(records: Records) -> str:
         cells = [_psnr_of(row, method, views) for views in groups for method in methods]
         counts = [str(len(views)) for views in groups]
         lines.append([case.data, str(case.views), f"{nearest:.1f}°", *counts, *cells])
-    return pages.table(headings, lines)
+    return markdown(headings, lines)
 
 
 def _psnr_of(records: Records, method: Method, views: set[str]) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.results_page import Record, Records, by_case
-from benchmarks.results_plan import Method
 from benchmarks.training_process import RENDERS
+from benchmarks.trainings import Method
 from registry.system.files import replacing
 from registry.toolkit.drawing import ViewPictures
 

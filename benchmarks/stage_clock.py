@@ -98,16 +98,16 @@ def wrap_stages(clock: StageClock) -> None:
     """Count the stages of a training run."""
     from core_rasterizer.device.program import Program
     from registry.priors import MultiViewDepthPrior
-    from registry.runs import run, training_run
+    from registry.runs import outputs, preparation, run
     from registry.runs.run import Run
     from registry.training.field import Field
     from stereogs_plugins.initializers.consistency_dense.initializer import ConsistencyDense
 
     clock.wrap(Program, "__init__", "kernels built or loaded")
-    clock.wrap(training_run, "load", "photographs")
+    clock.wrap(preparation, "load_scene", "photographs")
     clock.wrap(MultiViewDepthPrior, "depths", "depth prior")
     clock.wrap(ConsistencyDense, "initialize", "points")
-    clock.wrap(training_run, "initial_gaussians", "points")
+    clock.wrap(preparation, "initial_gaussians", "points")
     for method, name in (
         ("begin", "iteration: schedules and samples"),
         ("render", "iteration: modifiers and render"),
@@ -121,7 +121,7 @@ def wrap_stages(clock: StageClock) -> None:
         clock.wrap(Field, method, name, lambda field: field.model.device.finish())
     clock.wrap(Run, "keep_in", "run folder and checkpoints")
     clock.wrap(run, "save_checkpoint", "run folder and checkpoints")
-    clock.wrap(Run, "_write_with_outputs", "results and export")
+    clock.wrap(outputs, "_write_with_outputs", "results and export")
     clock.wrap(Run, "evaluate", "evaluation")
 
 

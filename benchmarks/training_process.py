@@ -1,80 +1,62 @@
-"""Train in one process and measure scores, time and memory; `benchmarks.trainings` starts it.
-
-One training, or several that share their first iterations (`benchmarks.branches`).
-"""
+"""Train in one process and measure scores, time and memory; `benchmarks.campaign` starts it."""
 
 from __future__ import annotations
 
 import argparse
 import re
 import sys
-from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
+from time import process_time
 from typing import Any
 
-import yaml
-
-from benchmarks.branches import Trained, train_branches
-from benchmarks.cells import ALEXNET, VGG
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
-from registry.pipeline.pipeline import Pipeline
 from registry.runs.evaluation import evaluate
 from registry.runs.origin import circumstances
 from registry.system.files import write_json
-from registry.training.trainer import one_torch_thread
-from stereogs.session import build_pipeline
+from registry.system.memory import peak_memory_mb
+from registry.training.trainer import Iteration, one_torch_thread
+from stereogs.session import build_pipeline, train
 
 PIPELINE, RENDERS, ANSWER = "pipeline.yaml", "renders", "answer.json"
 """Names in the folder of a training."""
-FAILED = "training_process: "
-"""Prefix of the error that ended a training."""
+SECONDS = "_seconds"
+"""Suffix of the times that components log."""
 
 
-def measure(
-    folders: Sequence[Path], device: str | None, without: Collection[str] = ()
-) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Train the pipelines of some folders and score their test views once, at the end.
+def measure(folder: Path, device: str | None) -> dict[str, Any]:
+    """Train the pipeline of a folder and score its test views once, at the end.
 
     Args:
-        folders: Folders with a pipeline each; pictures of the test views are written there.
-        without: Names of metrics to leave out, although the protocol has them. LPIPS is measured by both
-            networks or by neither.
+        folder: Folder with a pipeline; pictures of the test views are written there.
+        device: Part of the device's name, or None.
 
-    Yields:
-        A folder and plain JSON values. Seconds cover initialization and training, CPU seconds also loading of
-        the scene; memory is the peak until then. None of them includes scoring.
+    Returns:
+        Plain JSON values. Seconds cover initialization and training, `cpu_seconds` also loading of the scene;
+        memory is the peak until then. None of them includes scoring; `process_cpu_seconds` includes all.
+        `logged` are the values that components logged in the last iteration, times summed over all.
 
     Raises:
-        RunError: a run did not finish, or a score is missing.
-        ExplainedError: any other failure of a training.
+        RunError: the training was stopped, or a score is missing.
+        ExplainedError: any other failure of the training.
     """
-    pipelines = [build_pipeline(folder / PIPELINE) for folder in folders]
-    if VGG not in without:
-        pipelines = [with_alexnet(pipeline) for pipeline in pipelines]
-    for folder, trained in zip(folders, train_branches(pipelines, device), strict=True):
-        yield folder, _measured(trained, folder, without)
+    pipeline, logged = build_pipeline(folder / PIPELINE), dict[str, float]()
 
+    def follow(done: Iteration) -> None:
+        for name, value in done.logged.items():
+            before = logged.get(name, 0.0) if name.endswith(SECONDS) else 0.0
+            logged[name] = before + value
 
-def with_alexnet(pipeline: Pipeline) -> Pipeline:
-    """Return the pipeline with LPIPS by AlexNet added where it has LPIPS.
-
-    Planned pipelines do not name it, so the digests of older records stay valid.
-    """
-    names = [item.name for item in pipeline.items["metrics"]]
-    if VGG not in names or ALEXNET in names:
-        return pipeline
-    written = yaml.safe_load(pipeline.to_yaml())
-    written["metrics"].append({"use": VGG, "name": ALEXNET, "network": "alex"})
-    return build_pipeline(written)
-
-
-def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[str, Any]:
-    run, pictures = trained.run, folder / RENDERS
-    pictures.mkdir(parents=True, exist_ok=True)
-    metrics = [part for part in run.parts["metrics"] if part.item.name not in without]
+    begin = process_time()
+    run = train(pipeline, device=device, callback=follow)
+    cpu_seconds, memory = process_time() - begin, peak_memory_mb()
+    if not run.finished:
+        raise RunError("the training was stopped", where=pipeline.name)
+    (folder / RENDERS).mkdir(parents=True, exist_ok=True)
     with one_torch_thread():
-        scores = evaluate(run.model, run.scene, run.scene.test, metrics, pictures)
+        scores = evaluate(
+            run.model, run.scene, run.scene.test, run.parts["metrics"], folder / RENDERS
+        )
     missing = [*scores.unavailable.values(), *(error.what for error in scores.failures.values())]
     if missing:
         raise RunError(
@@ -93,9 +75,10 @@ def _measured(trained: Trained, folder: Path, without: Collection[str]) -> dict[
         "gaussians": run.model.count,
         "iterations": run.iteration,
         "seconds": round(run.seconds.initialization + run.seconds.training, 1),
-        "cpu_seconds": round(trained.cpu_seconds, 1),
-        "peak_memory_mb": trained.peak_memory_mb,
-        "logged": trained.logged,
+        "cpu_seconds": round(cpu_seconds, 1),
+        "process_cpu_seconds": round(process_time(), 1),
+        "peak_memory_mb": None if memory is None else round(memory),
+        "logged": logged,
         "hash": run.hash,
         "processor_model": _processor_model(),
         **around,
@@ -115,20 +98,13 @@ def _processor_model() -> str | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "folders",
-        type=Path,
-        nargs="+",
-        help=f"folders with {PIPELINE}; {ANSWER} and pictures go there",
-    )
+    parser.add_argument("folder", type=Path, help=f"a folder with {PIPELINE}; {ANSWER} goes there")
     parser.add_argument("--device", help="part of a device's name")
-    parser.add_argument("--without", nargs="*", default=[], help="metrics to leave out")
     arguments = parser.parse_args()
     try:
-        for folder, measured in measure(arguments.folders, arguments.device, arguments.without):
-            write_json(folder / ANSWER, measured)
+        write_json(arguments.folder / ANSWER, measure(arguments.folder, arguments.device))
     except ExplainedError as error:
-        sys.exit(f"{FAILED}{error}")
+        sys.exit(f"stereogs: {error}")
 
 
 if __name__ == "__main__":

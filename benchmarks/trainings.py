@@ -1,148 +1,169 @@
-"""Measured trainings in processes of their own, several at a time if requested."""
+"""Trainings that campaigns plan, and the processes that measure them (`benchmarks.training_process`)."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-import subprocess
-import sys
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic, sleep
+from typing import Any, Literal, TypeVar
 
-from rich.console import Console
+import yaml
 
-from benchmarks import training_records as records
-from benchmarks.planned_training import PlannedTraining
-from benchmarks.training_process import ANSWER, FAILED, PIPELINE
-from registry.system.cores import usable_cores
-from registry.system.files import write_text
-from registry.system.interrupt import stop_on_interrupt
+from registry import RunError
+from registry.messages.suggestions import listing
+from registry.pipeline.pipeline import Pipeline
+from registry.pipeline.yaml_source import Node, to_yaml
+from registry.runners import RunningTask, TrainingTask
 from registry.toolkit.cache.entries import FOLDER_VARIABLE
+from stereogs.experiments.running.local_processes import LocalProcesses, TrainingProcess
 
+DATA, MODELS = "STEREOGS_DATA", "STEREOGS_MODELS"
+PIPELINES = Path(__file__).parent.parent / "pipelines"
+SEEDS = (0, 1, 2)
+VGG, ALEXNET = "lpips", "lpips_alex"
 THREADS = "POCL_MAX_PTHREAD_COUNT"
-Group = Sequence[PlannedTraining]
-"""Trainings of one process: one, or several that share their first iterations (`benchmarks.branches`)."""
-_SECONDS_BETWEEN_LOOKS = 0.2
-_TAIL = 1000
-"""Characters of a log that are shown of an unexplained error."""
+
+Points = Literal["own", "same"]
+"""First points: those of the method, or the same for all methods."""
+POINTS: tuple[Points, ...] = ("own", "same")
 
 
+@dataclass(frozen=True)
+class Case:
+    """A data set with a number of training views.
+
+    Args:
+        data: Name of the data set and of its folder.
+        views: Number of training photographs.
+        protocol: Name of the protocol; empty if published protocols do not cover the scene.
+        overrides: Overrides of all pipelines, as for `--set`: protocol and scene.
+        baseline_overrides: Overrides of the baseline only.
+    """
+
+    data: str
+    views: int
+    protocol: str
+    overrides: tuple[str, ...]
+    baseline_overrides: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Method:
+    """A pipeline that is measured, a row of a table.
+
+    Args:
+        title: Name in tables.
+        file: File of the pipeline.
+        baseline: If True, it takes `Case.baseline_overrides` and the others are compared with it.
+        paper: Row of the StereoGS paper's tables, or None.
+        points: First points that `make methods` trains it from.
+    """
+
+    title: str
+    file: Path
+    baseline: bool = False
+    paper: str | None = None
+    points: tuple[Points, ...] = POINTS
+
+
+@dataclass(frozen=True, eq=False)
 class Training:
-    """A running process.
+    """One training of a campaign (`benchmarks.campaign`).
 
     Args:
-        group: Trainings of the process.
-        out: Folder of pipelines, pictures and answers, a subfolder for each; the log is in the first.
-        device: Part of the device's name, or None.
-        threads: Threads of an OpenCL device that is a processor; None: one for each core.
+        name: Name of its record and of its folder of outputs.
+        identity: Its description in a record, plain JSON values.
+        case, method, seed: Its place in the tables.
+        pipeline: The pipeline, complete and checked.
+        digest: Digest of the pipeline, independent of the location of the data.
+        without: Metrics of its protocol to leave out.
     """
 
-    def __init__(self, group: Group, out: Path, device: str | None, threads: int | None) -> None:
-        self.waiting, self.began = list(group), monotonic()
-        self._out = out
-        folders = [out / run.name for run in group]
-        for run, folder in zip(group, folders, strict=True):
-            folder.mkdir(parents=True, exist_ok=True)
-            write_text(folder / PIPELINE, run.pipeline.to_yaml())
-            (folder / ANSWER).unlink(missing_ok=True)
-        command = [sys.executable, "-m", "benchmarks.training_process", *map(str, folders)]
-        without = dict.fromkeys(name for run in group for name in run.without)
-        command += ["--without", *without]
+    name: str
+    identity: dict[str, Any]
+    case: Case
+    method: Method
+    seed: int
+    pipeline: Pipeline
+    digest: str
+    without: tuple[str, ...] = ()
+
+    @property
+    def measured_pipeline(self) -> str:
+        """The pipeline to train, as YAML: with the metrics to measure, without other outputs.
+
+        LPIPS is measured by both networks or by neither; planned pipelines do not name AlexNet, so the
+        digests of older records stay valid. The protocol, which fixes the metrics, is left out.
+        """
+        written = yaml.safe_load(self.pipeline.to_yaml())
+        metrics = {metric.get("name", metric["use"]): metric for metric in written["metrics"]}
+        for name in self.without:
+            metrics.pop(name, None)
+        if VGG in metrics:
+            metrics.setdefault(ALEXNET, {"use": VGG, "name": ALEXNET, "network": "alex"})
+        outputs = {"metrics": [*metrics.values()], "exporters": [], "reports": []}
+        return to_yaml(written | outputs | {"protocol": None})
+
+
+AnyTraining = TypeVar("AnyTraining", bound=Training)
+
+
+def written_digest(tree: Node) -> str:
+    """Return ten hexadecimal digits that depend on all that is written in a pipeline, except `fallbacks`.
+
+    A campaign does not train with a fallback (`benchmarks.campaign`).
+    """
+    written = tree.as_written()
+    for prior in written.get("priors") or []:
+        if isinstance(prior, dict):
+            prior.pop("fallbacks", None)
+    return digest_of(json.dumps(written, sort_keys=True))
+
+
+def digest_of(text: str) -> str:
+    """Return the first ten hexadecimal digits of the SHA-256 hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def check_data(wanted: Iterable[str]) -> None:
+    """Check that the data sets are present.
+
+    Raises:
+        RunError: STEREOGS_DATA is not set, or has no folder of that name for some.
+    """
+    names = list(dict.fromkeys(wanted))
+    root = os.environ.get(DATA)
+    if not root:
+        raise RunError(
+            f"{DATA} is not set", fix=f"set it to the folder that holds {listing(names)}"
+        )
+    missing = [name for name in names if not Path(root, name).is_dir()]
+    if missing:
+        raise RunError(
+            f"{DATA} lacks {listing(missing)}", where=root, fix="put each into a folder of its name"
+        )
+
+
+class MeasuredProcesses(LocalProcesses):
+    """Runs `benchmarks.training_process` in processes on this machine."""
+
+    def start(self, task: TrainingTask) -> RunningTask:
+        """Start a process for the task, with a share of the cores if several run at a time."""
         # Cached answers of an earlier run would make this one look fast.
-        environment = {**os.environ, FOLDER_VARIABLE: ""}
-        if threads is not None:
-            environment[THREADS] = str(threads)
-        self._log = folders[0] / "log.txt"
-        with self._log.open("wb") as log:
-            self.process = subprocess.Popen(
-                command + ([] if device is None else ["--device", device]),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                start_new_session=True,  # Ctrl-C is for the parent: it stops between runs
-            )
-
-    def answered(self) -> list[tuple[PlannedTraining, dict[str, object]]]:
-        """Return the measurements since the last call, and stop waiting for them."""
-        found = []
-        for run in list(self.waiting):
-            answer = self._out / run.name / ANSWER
-            if answer.is_file():
-                found.append((run, json.loads(answer.read_text("utf-8"))))
-                self.waiting.remove(run)
-        return found
-
-    def failure(self) -> str:
-        """Return the error of a process that ended without an answer."""
-        log = self._log.read_text("utf-8", errors="replace")
-        return failure(log) or f"exit status {self.process.returncode}"
+        environment = {FOLDER_VARIABLE: ""}
+        if self.places > 1:
+            environment[THREADS] = str(max(1, (os.cpu_count() or 1) // self.places))
+        module = ["benchmarks.training_process", str(task.folder)]
+        return _Measured(task, module, self.lock, environment)
 
 
-def failure(log: str) -> str:
-    """Return the error that ended a training, or else the end of its log."""
-    _, explained, error = log.strip().rpartition(FAILED)
-    return error if explained else log.strip()[-_TAIL:]
+class _Measured(TrainingProcess):
+    def stop(self) -> None:
+        """Wait for its end: a measurement that is stopped and resumed has no time."""
 
-
-def train(
-    waiting: Sequence[Group],
-    *,
-    jobs: int,
-    seconds: float | None,
-    device: str | None,
-    out: Path,
-    kept: Path,
-    console: Console,
-) -> dict[str, str]:
-    """Train in order, `jobs` groups at a time, and save a record of each training when it ends.
-
-    This process alone writes records; the trainings write answers of their own. After `seconds`, or the first
-    Ctrl-C, no group is started and the running ones are awaited; a second Ctrl-C kills them.
-
-    Args:
-        out: Folder of pipelines, pictures and answers.
-        kept: File of records.
-
-    Returns:
-        Errors of the failed runs by name; a failure does not stop the other groups.
-    """
-    queue, working = deque(waiting), list[Training]()
-    failures: dict[str, str] = {}
-    begin = monotonic()
-    threads = None if jobs == 1 else max(1, usable_cores() // jobs)
-    with stop_on_interrupt() as stop:
-        try:
-            while queue or working:
-                if stop.requested or (seconds is not None and monotonic() - begin > seconds):
-                    queue.clear()
-                while queue and len(working) < jobs:
-                    working.append(Training(queue.popleft(), out, device, threads))
-                for one in list(working):
-                    ended = one.process.poll() is not None  # before reading its answers
-                    _save(one, kept, console)
-                    if ended:
-                        working.remove(one)
-                        failures |= _failures(one, console)
-                sleep(_SECONDS_BETWEEN_LOOKS)
-        finally:
-            for one in working:
-                one.process.kill()
-                one.process.wait()
-    return failures
-
-
-def _save(working: Training, kept: Path, console: Console) -> None:
-    for run, measured in working.answered():
-        records.save(run, measured, kept)
-        console.print(f"{run.name}: {monotonic() - working.began:.0f} s")
-
-
-def _failures(ended: Training, console: Console) -> dict[str, str]:
-    """The error of the process, by the name of each run without an answer."""
-    failures = {run.name: ended.failure() for run in ended.waiting}
-    for name, message in failures.items():
-        console.print(f"{name} failed: {message}")
-    return failures
+    def progress(self) -> float:
+        """Return 0: the folder has no log of iterations."""
+        return 0.0

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 
-from benchmarks.results_plan import CASES, METHODS, Case, check_data, make_measurements
-from benchmarks.training_records import RECORDS
+from benchmarks.records import RECORDS
+from benchmarks.results_plan import CASES, METHODS, planned_runs
+from benchmarks.trainings import Case, check_data
 from registry.discovery import Plugins
 from registry.system.files import write_text
 from registry.toolkit.views import subject_of, view_angles
@@ -21,7 +22,7 @@ FILE = RECORDS / "view_angles.json"
 
 def measured(case: Case) -> dict[str, ViewAngles]:
     """Return the angles of each test view by its name; loads the scene."""
-    (run, *_) = make_measurements([case], METHODS, [0], Plugins())  # one scene for all methods
+    (run, *_) = planned_runs([case], METHODS, [0], Plugins())  # one scene for all methods
     scene = load_scene(run.pipeline)
     training = [view.camera for view in scene.train]
     points = None if scene.points is None else scene.points.positions

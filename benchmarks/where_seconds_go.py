@@ -20,8 +20,9 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks import pages
-from benchmarks.results_plan import DATA, PIPELINES
 from benchmarks.stage_clock import BORN
+from benchmarks.trainings import DATA, PIPELINES
+from stereogs.experiments.showing.score_table import markdown
 
 ROOT = Path(__file__).parent.parent
 TARGET = "profile"
@@ -80,7 +81,7 @@ def table(first: Taken, warm: Taken) -> str:
     wall, cpu, *first_run = (f"**{seconds:.2f}**" for seconds in sums)
     rows.append(["**total**", wall, cpu, "100%", *first_run])
     headings = ["stage", "wall s", "CPU s", "share of CPU", "first run, wall s", "CPU s"]
-    return pages.table(headings, rows)
+    return markdown(headings, rows)
 
 
 def draw(warm: Taken, path: Path) -> None:

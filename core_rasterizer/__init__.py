@@ -30,12 +30,9 @@ if TYPE_CHECKING:
         GaussianReader as GaussianReader,
         Model as Model,
         OpenCLEngine as OpenCLEngine,
-        Optimizer as Optimizer,
         Relocation as Relocation,
         apply_edit as apply_edit,
-        engine_on as engine_on,
         photometric_loss as photometric_loss,
-        shared_among_copies as shared_among_copies,
     )
     from .ply import load_ply as load_ply, load_points as load_points, save_ply as save_ply
     from .rendering import Rendering as Rendering

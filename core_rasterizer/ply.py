@@ -22,7 +22,7 @@ from torch import Tensor
 
 from .errors import PlyError
 from .gaussians import SH_C0, Gaussians
-from .ply_header import read_header
+from .ply_header import CONVERT, read_header
 
 if TYPE_CHECKING:
     from plyfile import PlyData
@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 
 _COMMENT = "SplatRenderMode: default"
 """Tells viewers that training used no anti-aliasing filter."""
+
+_MIP, _FILTER = "SplatRenderMode: mip", "filter_3D"
+"""A comment, and a property, of scenes trained with Mip-Splatting's filters."""
+MAX_LOGIT = 30.0
+"""Opacity logit that stands for infinity: the opacity is 1 in single precision."""
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -100,25 +105,45 @@ def save_ply(
 def load_ply(path: str | Path) -> Gaussians:
     """Read Gaussians of SH degree 0 to 3 from a PLY file, text or binary.
 
-    Properties may come in any order, and unknown ones are ignored.
+    Properties may come in any order, and unknown ones are ignored. Infinite opacity logits, which some
+    programs write for opacities of 0 and 1, become -30 and 30. A warning says if the scene was trained with
+    an anti-aliasing filter that a plain rendering lacks.
 
     Raises:
-        PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has a value that
+        PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has another value that
             is not finite; the message names the property and the row.
     """
     path = Path(path)
-    vertex = _read_vertices(path)
+    header, vertex = _read_vertices(path)
     available = set(vertex.dtype.names or ())
     rest = _rest_names(available, path)
     missing = [name for name in _REQUIRED if name not in available]
     if missing:
-        raise PlyError(
-            f"the vertices have no {_listed(missing)}",
-            where=str(path),
-            fix="use a Gaussian scene, not a point cloud or a mesh",
+        raise _not_gaussians(missing, available, path)
+    if _FILTER in available or any(_MIP in comment for comment in header.comments):
+        _log.warning(
+            "%s was trained with Mip-Splatting's filters, which a plain rendering lacks: render it with "
+            "compensate_dilation, or export it again with the filters applied",
+            path,
         )
+    logits = vertex["opacity"]
+    logits[np.isinf(logits)] = np.copysign(MAX_LOGIT, logits[np.isinf(logits)])
     columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
     return _gaussians_from(columns, rest)
+
+
+def _not_gaussians(missing: list[str], available: set[str], path: Path) -> PlyError:
+    """Return the error for vertices that lack a property; it says what they are if that is known."""
+    if "packed_position" in available:
+        return PlyError("the scene was compressed by SuperSplat", where=str(path), fix=CONVERT)
+    if missing == ["scale_2"]:
+        what = "the scene consists of flat 2D Gaussians (2DGS), which have two scales each"
+        return PlyError(what, where=str(path), fix="use a scene of 3D Gaussians")
+    return PlyError(
+        f"the vertices have no {_listed(missing)}",
+        where=str(path),
+        fix="use a Gaussian scene, not a point cloud or a mesh",
+    )
 
 
 def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
@@ -133,7 +158,7 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
             that is not finite.
     """
     path = Path(path)
-    vertex = _read_vertices(path)
+    _, vertex = _read_vertices(path)
     available = set(vertex.dtype.names or ())
     constant_band = set(_CONSTANT_BAND) <= available
     color_names = _CONSTANT_BAND if constant_band else _COLOR
@@ -159,8 +184,8 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
     return positions, colors / largest
 
 
-def _read_vertices(path: Path) -> NDArray[np.void]:
-    """Read the rows of the `vertex` element, with a field for each property."""
+def _read_vertices(path: Path) -> tuple[PlyHeader, NDArray[np.void]]:
+    """Read the header, and the rows of the `vertex` element with a field for each property."""
     header = read_header(path)
     index = next((k for k, e in enumerate(header.elements) if e.name == "vertex"), None)
     if index is None:
@@ -181,7 +206,7 @@ def _read_vertices(path: Path) -> NDArray[np.void]:
     try:
         announced = PlyData.read(io.BytesIO(header.without_rows()))
         dtype = np.dtype(announced["vertex"].dtype(announced.byte_order))
-        return _read_rows(path, header, index, dtype)
+        return header, _read_rows(path, header, index, dtype)
     except Exception as error:  # plyfile, numpy and int() raise different types
         raise PlyError(
             f"the PLY file cannot be read: {error}",

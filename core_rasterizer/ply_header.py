@@ -13,6 +13,17 @@ from .errors import PlyError
 
 _MAX_HEADER = 1 << 16
 _MAX_DIGITS = 18
+_OTHER_FORMATS = {
+    ".splat": "a scene of the web viewer antimatter15/splat",
+    ".ksplat": "a scene of the web viewer GaussianSplats3D",
+    ".spz": "a scene compressed by Niantic's SPZ",
+    ".sog": "a scene compressed by PlayCanvas",
+    ".glb": "a glTF scene",
+}
+CONVERT = (
+    "save it as an uncompressed PLY, for example with SuperSplat or `splat-transform IN OUT.ply`"
+)
+"""Advice for scenes in another format."""
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
@@ -63,10 +74,18 @@ class PlyHeader:
     body: int
 
     def without_rows(self) -> bytes:
-        """The header with all row counts set to 0."""
-        lines = b"".join(element.lines for element in self.elements)
+        """The header with all row counts set to 0, without comments, which need not be ASCII."""
+        lines = b"".join([self.preamble, *(element.lines for element in self.elements)])
         emptied = re.sub(rb"^(element\s+\S+\s+)\d+", rb"\g<1>0", lines, flags=re.MULTILINE)
-        return b"".join([b"ply\n", self.preamble, emptied, b"end_header\n"])
+        plain = re.sub(rb"^(?:comment|obj_info)\b.*\n", b"", emptied, flags=re.MULTILINE)
+        return b"".join([b"ply\n", plain, b"end_header\n"])
+
+    @property
+    def comments(self) -> list[str]:
+        """The texts of its comments."""
+        lines = b"".join([self.preamble, *(element.lines for element in self.elements)])
+        found = re.findall(rb"^comment\b(.*)$", lines, flags=re.MULTILINE)
+        return [comment.decode("utf-8", "replace").strip() for comment in found]
 
 
 def read_header(path: Path) -> PlyHeader:
@@ -99,6 +118,8 @@ def read_header(path: Path) -> PlyHeader:
 
 def _parse(start: bytes, path: Path) -> PlyHeader:
     found = re.match(rb"ply\s*?\r?\n(.*?)^end_header\s*?\n", start, re.DOTALL | re.MULTILINE)
+    if other := _OTHER_FORMATS.get(path.suffix.lower()) if found is None else None:
+        raise PlyError(f"this is {other}, not a PLY file", where=str(path), fix=CONVERT)
     if found is None:
         raise PlyError(
             "the file does not begin with a complete PLY header",

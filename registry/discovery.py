@@ -169,7 +169,7 @@ class Plugins:
         return PluginError(
             f"{what}: the plugin {_key(alike[0])} is installed but does not register that name",
             where=_where(alike[0]),
-            fix=f"does {point.hook} have its `@registry.hookimpl`, and register {name!r}?",
+            fix=f"does {point.hook} have its decorator `@hookimpl`, and register {name!r}?",
         )
 
 
@@ -235,12 +235,12 @@ def check_offer(point: HookPoint, name: object, component: object) -> None:
         )
     who, base = f"the {point.title} {name!r}", point.base
     if not (isinstance(component, type) and issubclass(component, base)):
-        raise PluginError(f"{who} is {component!r}, not a subclass of registry.{base.__name__}")
+        raise PluginError(f"{who} is {component!r}, not a subclass of stereogs.api.{base.__name__}")
     if inspect.isabstract(component):
         missing = ", ".join(sorted(getattr(component, "__abstractmethods__", ())))
         raise PluginError(f"{who} does not define {missing}")
     if not (isinstance(component.Settings, type) and issubclass(component.Settings, Settings)):
-        raise PluginError(f"the Settings of {who} do not derive from registry.Settings")
+        raise PluginError(f"the Settings of {who} do not derive from stereogs.api.Settings")
     if not isinstance(component.host_defaults, HostDefaults):
         what = f"the host_defaults of {who} are not a HostDefaults"
         raise PluginError(what, fix="write for example `host_defaults = HostDefaults(every=100)`")

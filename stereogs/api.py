@@ -10,8 +10,8 @@
         register("flat", Flat)
 
 All names of this module are stable: a release that breaks one increases `API_VERSION`, and the release
-before it warns. `registry.toolkit`, `registry.testing` and `core_rasterizer` may change with a note in the
-changelog. All other modules are internal.
+before it warns. `stereogs.testing`, `registry.runs`, `registry.toolkit` and the other names of
+`core_rasterizer` may change with a note in the changelog. All other modules are internal.
 """
 
 from typing import TYPE_CHECKING
@@ -19,6 +19,14 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
+    from core_rasterizer import (
+        Camera as Camera,
+        Device as Device,
+        Edit as Edit,
+        ExplainedError as ExplainedError,
+        GaussianReader as GaussianReader,
+        Rendering as Rendering,
+    )
     from registry import (
         API_VERSION as API_VERSION,
         Appearance as Appearance,
@@ -89,11 +97,16 @@ if TYPE_CHECKING:
         RunningTask as RunningTask,
         TrainingTask as TrainingTask,
     )
+    from registry.runs.options import RunOptions as RunOptions
+    from registry.runs.run import Run as Run
 
+    from .command_line.arguments import add_run as add_run, open_given as open_given
     from .command_line.command import (
         Command as Command,
         TrainOption as TrainOption,
         TrainRequest as TrainRequest,
     )
+    from .command_line.output import console as console
+    from .session import open_run as open_run
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from registry.discovery import SCENE, Plugins, recognize
 from registry.errors import SceneError
@@ -13,9 +13,6 @@ from registry.pipeline.ready import is_pipeline_file, ready_pipelines
 from registry.pipeline.settings_check import escape_variables
 from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
 from registry.pipeline.yaml_source import Node
-
-if TYPE_CHECKING:
-    pass
 
 
 class FoundLoader(NamedTuple):

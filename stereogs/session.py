@@ -24,7 +24,7 @@ from registry.contract.scene import PointCloud, Scene, View
 from registry.discovery import Plugins
 from registry.errors import PipelineError, SceneError
 from registry.pipeline.edits import SECTIONS
-from registry.pipeline.pipeline import Item, Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, checked_pipeline
 from registry.pipeline.ready import find_pipeline
 from registry.pipeline.schedule import HostSettings
 from registry.pipeline.yaml_source import Node, Place, parse, read, to_yaml
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera, Device, Engine, Model
     from registry.runs.evaluation import Picture
     from registry.runs.run import Run
+
+    from .quality.fitting import Fit
 
 __all__ = [
     "build_pipeline",
@@ -193,6 +195,7 @@ def train(
     options: RunOptions | None = None,
     *,
     out: PathLike | Callable[[Pipeline, Scene], Path] | None = None,
+    fit: Fit | None = None,
     **changes: Any,
 ) -> Run:
     """Train a pipeline.
@@ -201,6 +204,7 @@ def train(
         pipeline: a pipeline, or any source that `build_pipeline` accepts.
         options: how the training runs.
         out: the run folder, new or empty, or a function that returns it; None writes nothing to disk.
+        fit: chooses the size of photographs, the pipeline and its length (`within`).
         changes: single fields of `RunOptions`, for example `callback=` or `scene=`.
 
     Returns:
@@ -218,10 +222,10 @@ def train(
             "the pipeline does not name a scene, and none is given",
             fix="give one, train(pipeline, scene=...), or write scene: {use: ..., path: ...}",
         )
-    from registry.runs.training_run import start
+    from registry.runs.training_run import start_run
 
     folder = Path(out).expanduser() if isinstance(out, str | os.PathLike) else out
-    return start(checked, options, folder)
+    return (start_run if fit is None else fit.train)(checked, options, folder)
 
 
 def _in_memory(pipeline: Pipeline, scene: Scene) -> Pipeline:
@@ -248,9 +252,9 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
         ExplainedError: the folder is not a run or has no checkpoint, or an error as in `train`.
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
-    from registry.runs.training_run import resume as resume_run
+    from registry.runs.training_run import continue_run
 
-    return resume_run(path, replace(options or RunOptions(), **changes), Plugins())
+    return continue_run(path, replace(options or RunOptions(), **changes), Plugins())
 
 
 def open_run(
@@ -273,11 +277,11 @@ def open_run(
         ExplainedError: the folder is not a run, or a part of it cannot be read.
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
-    from registry.runs.opening import open_run as read_run
+    from registry.runs.opening import load_run
     from registry.training.trainer import one_torch_thread
 
     with one_torch_thread():
-        return read_run(
+        return load_run(
             path,
             plugins=Plugins(),
             device=find_device(device),

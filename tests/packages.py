@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
+from tests.host import SELECTION, Plugins
 
 ROOT = Path(__file__).parent.parent
 _PIP = ("-m", "pip", "--disable-pip-version-check", "install", "-q", "--no-deps", "--no-index")

@@ -14,9 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.training_settings import TrainingSettings
-from stereogs.cli import parse
+from tests.host import SELECTION, Plugins, TrainingSettings, parse_command
 from tests.packages import install, run_python
 
 ROOT = Path(__file__).parent.parent
@@ -44,7 +42,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_are_understood(page: Path) -> None:
     for command in commands(page):
-        parse(shlex.split(command, comments=True)[1:])
+        parse_command(shlex.split(command, comments=True)[1:])
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from stereogs.cli import main
-from stereogs.command_line.installed import verbs
+from tests.host import main, verbs
 
 WIDTH = 80
 PIPELINE = """\

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import GROUP
-from registry.pipeline.protocols import load_protocol, protocol_names
+from tests.host import GROUP, load_protocol, protocol_names
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted((ROOT / "registry").rglob("*.py"))

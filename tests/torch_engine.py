@@ -1,4 +1,7 @@
-"""A second engine in plain torch on `core_rasterizer.reference`: slow, and only for tests of the protocol."""
+"""A second engine in plain torch on `core_rasterizer.reference`: slow, and only for tests of the protocol.
+
+Tests of `core_rasterizer`, which import its modules.
+"""
 
 from __future__ import annotations
 

@@ -2,9 +2,10 @@
 
 from .array import DeviceArray, Scratch
 from .choice import Description, choose
-from .device import Device, Kind, Variant, list_devices, open_device
+from .device import Device, Kind, list_devices, open_device
 from .host_pool import host_pool
 from .memory import CORRECT_CPU_NAME
+from .profile import DeviceProfile, Variant
 from .program import Program
 from .trial import Trial, described, tried
 
@@ -13,6 +14,7 @@ __all__ = [
     "Description",
     "Device",
     "DeviceArray",
+    "DeviceProfile",
     "Kind",
     "Program",
     "Scratch",

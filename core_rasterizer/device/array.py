@@ -200,9 +200,9 @@ class Scratch:
     def __getitem__(self, name: str) -> DeviceArray:
         return self._arrays[name]
 
-    def all(self, *names: str) -> list[DeviceArray]:
-        """The arrays of these names."""
-        return [self._arrays[name] for name in names]
+    def named(self, *names: str) -> dict[str, DeviceArray]:
+        """The arrays of these names, for a launch."""
+        return {name: self._arrays[name] for name in names}
 
     def __setitem__(self, name: str, array: DeviceArray) -> None:
         self._arrays[name] = array

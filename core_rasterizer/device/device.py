@@ -14,6 +14,7 @@ import torch
 from ..errors import DeviceError
 from .choice import Description, choose
 from .memory import DeviceMemory
+from .profile import DeviceProfile, Variant
 from .program import Program
 from .trial import seconds_of
 from .unknown_cpu import better_cpu_name, correct_cpu_name, written_cpu_name
@@ -22,11 +23,6 @@ from .uploads import Uploads
 _log = logging.getLogger(__name__)
 
 Kind = Literal["cpu", "gpu", "accelerator"]
-Variant = Literal["cpu", "gpu"]
-
-CPU_LANES = 8
-"""Vector width of kernels on a CPU: eight floats fill an AVX register. Rasterizer and SSIM
-choose their own width (`kernels/lanes.cl`)."""
 
 
 class Device(DeviceMemory):
@@ -38,6 +34,7 @@ class Device(DeviceMemory):
         kind: "cpu", "gpu" or "accelerator".
         variant: raster kernels: "cpu" (one work-item per tile, vectors along rows) or "gpu" (one
             work-item per pixel, one work-group per tile). Chosen by kind unless given.
+        profile: how kernels divide their work.
         uploads: copies of tensors that do not change on the host.
     """
 
@@ -52,12 +49,17 @@ class Device(DeviceMemory):
         self.variant: Variant = variant or ("cpu" if self.kind == "cpu" else "gpu")
         self.compute_units = int(handle.max_compute_units)
         self.supports_double = "cl_khr_fp64" in handle.extensions.split()
-        self.lanes = CPU_LANES if self.variant == "cpu" else 1
+        self.profile = DeviceProfile.for_device(self.variant, self.compute_units)
         self.uploads = Uploads(self)
         self._programs: dict[tuple[Any, ...], Program] = {}
 
     def __repr__(self) -> str:
         return f"Device({self.name!r}, {self.platform!r}, {self.kind}, {self.variant} kernels)"
+
+    @property
+    def lanes(self) -> int:
+        """Reals per vector of the kernels; rasterizer, SSIM and the ZNCC sweep have their own."""
+        return self.profile.lanes
 
     @property
     def built_for(self) -> str | None:

@@ -10,9 +10,10 @@ import numpy as np
 import pyopencl as cl
 
 from ..errors import DeviceError
-from ..layout import KERNEL_MACROS
+from ..layout import KERNEL_HEADER
 from .array import DeviceArray
 from .memory import DeviceMemory
+from .signature import signatures
 
 _PACKAGE = __package__.rpartition(".")[0]
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-no-signed-zeros")
@@ -26,8 +27,7 @@ class Program:
     def __init__(
         self, device: DeviceMemory, sources: Sequence[str], macros: Mapping[str, float]
     ) -> None:
-        text = "\n".join(_source(name) for name in ("device/lanes", *sources))
-        macros = {**KERNEL_MACROS, **macros}
+        text = "\n".join([KERNEL_HEADER, *map(_source, ("device/lanes", *sources))])
         for_device = _FOR_CPUS if macros["LANES"] != 1 else ()
         defines = (f"-D{name}={value}" for name, value in macros.items())
         options = [*_BUILD_OPTIONS, *for_device, *defines]
@@ -44,30 +44,34 @@ class Program:
             ) from error
         self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
-        self._typed: set[str] = set()
+        real = np.float64 if macros["REAL_IS_DOUBLE"] else np.float32
+        self._signatures = signatures(text, real)
+        for name, kernel in self._kernels.items():
+            # pyopencl passes scalars of known types in a tenth of the time.
+            kernel.set_scalar_arg_dtypes(self._signatures[name].types)
 
     def run(
         self,
         kernel: str,
         global_size: tuple[int, ...],
         local_size: tuple[int, ...] | None,
-        *arguments: DeviceArray | np.generic,
+        /,
+        **arguments: DeviceArray | float | np.generic,
     ) -> cl.Event:
-        """Enqueue a kernel, and return its event. Arrays are passed as buffers, scalars as numpy scalars.
+        """Enqueue a kernel, and return its event.
+
+        Args:
+            arguments: arrays and numbers by the names in the kernel's source, all of them, in any order.
 
         Raises:
             DeviceError: the driver rejected the launch.
+            ExplainedError: names are missing or unknown, or types are wrong.
         """
         device = self._device
-        values = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
+        values = self._signatures[kernel].values(arguments)
         try:
             # A kernel object stores its arguments, so only one thread at a time may set them.
             with device.lock:
-                if kernel not in self._typed:
-                    # pyopencl passes scalars of known types in a tenth of the time.
-                    types = [None if isinstance(a, DeviceArray) else a.dtype for a in arguments]
-                    self._kernels[kernel].set_scalar_arg_dtypes(types)
-                    self._typed.add(kernel)
                 event: cl.Event = self._kernels[kernel](
                     device.queue, global_size, local_size, *values
                 )

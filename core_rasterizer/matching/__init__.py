@@ -12,7 +12,7 @@ if TYPE_CHECKING:
         MAX_RADIUS as MAX_RADIUS,
         MAX_SWEEP_RADIUS as MAX_SWEEP_RADIUS,
     )
-    from .patch_match import PatchMatch as PatchMatch, PlaneMap as PlaneMap
+    from .patch_match import PatchMatch as PatchMatch
     from .plane_sweep import ZnccSweep as ZnccSweep
     from .rectified import (
         census_costs as census_costs,

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray
-from .semi_global import PLANE_MULTIPLE
 from .sweep_geometry import SweepGeometry
 
 
@@ -39,7 +37,7 @@ class FeatureSweep:
         second_share: float = 0.25,
     ) -> None:
         self._device, self._cameras = device, tuple(cameras)
-        self._second_share = np.float32(second_share)
+        self._second_share = second_share
         channels = features[0].shape[0]
         self._channels = -(-channels // device.lanes) * device.lanes
         ends = list(accumulate(camera.width * camera.height for camera in cameras))
@@ -64,7 +62,7 @@ class FeatureSweep:
         numbers, layout = self._geometry.sources(reference, sources)
         costs = self._geometry.empty_volume(reference)
         planes, camera = self._geometry.planes, self._cameras[reference]
-        planes_an_item = PLANE_MULTIPLE if self._device.variant == "cpu" else 1
+        planes_an_item = self._device.profile.sweep_planes
         program = self._device.program(
             "matching/feature_sweep",
             dtype=torch.float32,
@@ -76,8 +74,14 @@ class FeatureSweep:
             "feature_sweep",
             (planes // planes_an_item, camera.width, camera.height),
             None,
-            *(self._features, numbers, layout, self._geometry.inverse_depths, costs),
-            *(np.int32(value) for value in (self._starts[reference], camera.width, planes)),
-            self._second_share,
+            features=self._features,
+            sources=numbers,
+            layout=layout,
+            inverse_depths=self._geometry.inverse_depths,
+            costs=costs,
+            start=self._starts[reference],
+            width=camera.width,
+            planes=planes,
+            second_share=self._second_share,
         )
         return costs

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -47,8 +46,7 @@ class PatchLevel:
     ) -> None:
         self._device, self.cameras, self._seed = device, tuple(cameras), seed
         self.nearness = nearness
-        # On a CPU, larger groups would need stack memory for all their work-items at once.
-        self._group = (1, 1) if device.variant == "cpu" else None
+        self._group = device.profile.patch_group
         self._defines = {
             "RADIUS": radius,
             "LEVELS": GREY_LEVELS,
@@ -70,10 +68,9 @@ class PatchLevel:
             "draw_planes",
             (-(-camera.width // self._device.lanes), camera.height),
             self._group,
-            self.planes[view],
-            *(np.int32(value) for value in (camera.width, camera.height)),
-            *self._numbers(camera),
-            self._key(view),
+            planes=self.planes[view],
+            key=self._key(view),
+            **self._numbers(camera),
         )
 
     def costs(self, view: int, sources: Sequence[int]) -> Tensor:
@@ -84,9 +81,10 @@ class PatchLevel:
             "plane_costs",
             (-(-camera.width // self._device.lanes), camera.height),
             self._group,
-            *(self.planes[view], self._greys[view], self._pairs, self._known),
-            *(*self._sources(view, sources), costs),
-            *(np.int32(value) for value in (len(sources), camera.width, camera.height)),
+            costs=costs,
+            width=camera.width,
+            height=camera.height,
+            **self._images(view, sources),
         )
         return costs.read().clone()
 
@@ -101,17 +99,16 @@ class PatchLevel:
                 by the source view (`share_depths`); 0 ignores other depths.
         """
         camera = self.cameras[view]
-        places = self._sources(view, sources)
-        key = self._key(view)
+        arguments = {**self._images(view, sources), **self._numbers(camera), "key": self._key(view)}
         for colour in (0, 1):
             self._program().run(
                 "improve_planes",
                 (-(-camera.width // (2 * self._device.lanes)), camera.height),
                 self._group,
-                *(self.planes[view], self._greys[view], self._pairs, self._known, *places),
-                *(np.int32(value) for value in (len(sources), camera.width, camera.height)),
-                *self._numbers(camera),
-                *(np.float32(good_cost), np.float32(agreement), np.int32(colour), key),
+                good_cost=good_cost,
+                agreement=agreement,
+                colour=colour,
+                **arguments,
             )
 
     def share_depths(self) -> None:
@@ -126,20 +123,25 @@ class PatchLevel:
         centered = image.nan_to_num(0.5).clamp(0, 1) - 0.5
         levels.write((2 * GREY_LEVELS * centered).round())
         program = self._device.program("matching/sweep_images", dtype=torch.float32, RADIUS=1)
-        numbers = (camera.width, camera.height, self._pair_starts[view])
         program.run(
             "pack_pairs",
             (camera.width, camera.height + 1),
             None,
-            *(levels, self._pairs),
-            *(np.int32(number) for number in numbers),
+            grey=levels,
+            pairs=self._pairs,
+            width=camera.width,
+            height=camera.height,
+            start=self._pair_starts[view],
         )
         grey = DeviceArray(self._device, size)
         grey.write(2 * centered)
         return grey
 
-    def _sources(self, view: int, sources: Sequence[int]) -> tuple[DeviceArray, DeviceArray]:
-        """Projections there and back `[S, 24]`, and offsets and sizes `[S, 4]`; see the kernel."""
+    def _images(self, view: int, sources: Sequence[int]) -> dict[str, DeviceArray | float]:
+        """Kernel arguments: the view's planes and image, and what its source views see.
+
+        Projections there and back are `[S, 24]`, offsets and sizes `[S, 4]`; see the kernel.
+        """
         here, rows, places = self.cameras[view], [], []
         for index in sources:
             there = self.cameras[index]
@@ -151,17 +153,35 @@ class PatchLevel:
         numbers.write(torch.stack(rows))
         layout = DeviceArray(self._device, (len(sources), 4), torch.int32)
         layout.write(torch.tensor(places))
-        return numbers, layout
+        return {
+            "planes": self.planes[view],
+            "grey": self._greys[view],
+            "pairs": self._pairs,
+            "known": self._known,
+            "numbers": numbers,
+            "layout": layout,
+            "sources": len(sources),
+        }
 
-    def _numbers(self, camera: Camera) -> tuple[np.float32, ...]:
-        parts = (camera.fx, camera.fy, camera.cx, camera.cy)
-        return tuple(np.float32(value) for value in (*self.nearness, *parts))
+    def _numbers(self, camera: Camera) -> dict[str, float]:
+        """Kernel arguments: range of depths, and the camera."""
+        farthest, nearest = self.nearness
+        return {
+            "farthest": farthest,
+            "nearest": nearest,
+            "width": camera.width,
+            "height": camera.height,
+            "focal_x": camera.fx,
+            "focal_y": camera.fy,
+            "center_x": camera.cx,
+            "center_y": camera.cy,
+        }
 
-    def _key(self, view: int) -> np.uint32:
+    def _key(self, view: int) -> int:
         """Key of the random numbers of the next launch."""
         self._launches += 1
         mixed = 0x9E3779B1 * self._seed + 0x85EBCA77 * view + 0xC2B2AE3D * self._launches
-        return np.uint32(mixed % 2**32)
+        return mixed % 2**32
 
     def _program(self) -> Program:
         return self._device.program(*_KERNELS, dtype=torch.float32, **self._defines)

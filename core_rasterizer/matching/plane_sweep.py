@@ -5,19 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program
 from .limits import MAX_SWEEP_RADIUS
-from .semi_global import PLANE_MULTIPLE
 from .sweep_geometry import SweepGeometry
-
-_CPU_TILE, _GPU_TILE = (64, 64), (16, 16)
-_GPU_GROUP = 16
-"""Work-items per group on a GPU, one per plane; a volume's planes are a multiple."""
 
 
 class ZnccSweep:
@@ -57,12 +51,10 @@ class ZnccSweep:
         if not 0 < noise <= 1:
             raise ValueError(f"the noise is {noise}; it must lie in (0, 1]")
         self._device, self._radius = device, radius
-        self._on_cpu = device.variant == "cpu"
-        self._tile = _CPU_TILE if self._on_cpu else _GPU_TILE
-        self._planes_an_item = PLANE_MULTIPLE if self._on_cpu else 1
+        self._tile = device.profile.sweep_tile
         # So that sums of squares over a window are at most 2^24; see the kernel.
         levels = 2**12 // (2 * radius + 1)
-        self._weights = (np.float32((2 * levels * noise) ** 2), np.float32(second_share))
+        self._weights = {"noise": (2 * levels * noise) ** 2, "second_share": second_share}
         self._images = device.program("matching/sweep_images", dtype=torch.float32, RADIUS=radius)
         ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
         starts = [0, *ends[:-1]]
@@ -92,20 +84,27 @@ class ZnccSweep:
         costs = self._geometry.empty_volume(reference)
         grey = self._greys[reference]
         height, width = grey.shape
-        size = (np.int32(width), np.int32(height))
+        size = {"width": width, "height": height}
         windows = DeviceArray(self._device, (height, width, 4))
-        self._images.run("describe_windows", (width, height), None, grey, windows, *size)
+        self._images.run(
+            "describe_windows", (width, height), None, grey=grey, windows=windows, **size
+        )
         self._program(len(sources)).run(
             "plane_sweep",
             (
-                self._geometry.planes // self._planes_an_item,
+                self._geometry.planes // self._device.profile.sweep_planes,
                 -(-width // self._tile[0]),
                 -(-height // self._tile[1]),
             ),
-            (1 if self._on_cpu else _GPU_GROUP, 1, 1),
-            *(self._pairs, windows, numbers, layout, self._geometry.inverse_depths, costs),
-            *size,
-            *self._weights,
+            (self._device.profile.sweep_group, 1, 1),
+            pairs=self._pairs,
+            windows=windows,
+            sources=numbers,
+            layout=layout,
+            inverse_depths=self._geometry.inverse_depths,
+            costs=costs,
+            **size,
+            **self._weights,
         )
         return costs
 
@@ -118,9 +117,9 @@ class ZnccSweep:
             )
         grey = DeviceArray(self._device, (height, width))
         grey.write((2 * levels * (image - 0.5)).round())
-        numbers = [np.int32(value) for value in (width, height, start)]
+        place = {"width": width, "height": height, "start": start}
         size = (width, height + 1)
-        self._images.run("pack_pairs", size, None, grey, self._pairs, *numbers)
+        self._images.run("pack_pairs", size, None, grey=grey, pairs=self._pairs, **place)
         return grey
 
     def _program(self, sources: int) -> Program:
@@ -131,8 +130,8 @@ class ZnccSweep:
             dtype=torch.float32,
             SOURCES=sources,
             RADIUS=self._radius,
-            LANES=0 if self._on_cpu else 1,  # 0: chosen from the processor's registers
-            PLANES_PER_ITEM=self._planes_an_item,
+            LANES=self._device.profile.wide_lanes,
+            PLANES_PER_ITEM=self._device.profile.sweep_planes,
             TILE_WIDTH=self._tile[0],
             TILE_HEIGHT=self._tile[1],
         )

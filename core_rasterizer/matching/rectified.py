@@ -9,7 +9,6 @@ to D.
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -25,8 +24,6 @@ UNSEEN_CENSUS = 96
 _NOISE = 0.002
 """Standard deviation of grey values in [0, 1] that counts as no texture."""
 _CENSUS_COLUMNS, _CENSUS_ROWS = 9, 7
-_ROWS_OF_ITEM = 64
-"""Rows per work-item, which first sums the rows of one window."""
 
 
 def zncc_costs(
@@ -53,27 +50,36 @@ def zncc_costs(
     depth = costs.shape[2]
     # Sums of squares over a window stay below 2^24, exact in float32; see the kernel.
     levels = 2**12 // (2 * radius + 1)
-    maps: list[Tensor] = []
-    for image, mirrored in ((left, False), (right, True)):
+    maps: dict[str, Tensor] = {}
+    for name, image, mirrored in (("left", left, False), ("right", right, True)):
         grey = _whole_levels(image.flip(1) if mirrored else image, levels)
         padded = pad(grey[None], (radius,) * 4, mode="replicate")[0]
         total, square = _window_sums(padded, radius), _window_sums(padded * padded, radius)
         count = (2 * radius + 1) ** 2
         spread = square - total * total / count + count * (2 * levels * _NOISE) ** 2
         beyond = (0, depth if mirrored else 0)
-        maps += [
-            pad(padded, beyond),
-            pad(total / count if mirrored else total, beyond),
-            pad(spread.rsqrt(), beyond),
-        ]
-    order = (maps[0], maps[3], maps[1], maps[2], maps[4], maps[5])
-    arrays = [_on_device(device, values, torch.float32) for values in order]
+        maps[name] = pad(padded, beyond)
+        maps["right_mean" if mirrored else "left_sum"] = pad(
+            total / count if mirrored else total, beyond
+        )
+        maps[f"{name}_scale"] = pad(spread.rsqrt(), beyond)
+    arrays = {name: _on_device(device, values, torch.float32) for name, values in maps.items()}
     program = device.program("matching/rectified", dtype=torch.float32, RADIUS=radius)
-    size = (depth // device.lanes, width, -(-height // _ROWS_OF_ITEM))
-    numbers = [
-        np.int32(n) for n in (height, width, planes, depth, UNSEEN_CORRELATION, _ROWS_OF_ITEM)
-    ]
-    program.run("correlate_windows", size, None, *arrays, costs, *numbers)
+    rows = device.profile.window_rows
+    size = (depth // device.lanes, width, -(-height // rows))
+    program.run(
+        "correlate_windows",
+        size,
+        None,
+        **arrays,
+        costs=costs,
+        height=height,
+        width=width,
+        planes=planes,
+        depth=depth,
+        unseen=UNSEEN_CORRELATION,
+        rows=rows,
+    )
     return costs
 
 
@@ -92,15 +98,21 @@ def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> De
     costs = empty_volume(device, height, width, planes)
     depth = costs.shape[2]
     signs = [_census(image) for image in (left, right)]
-    arrays = [
-        _on_device(device, signs[0], torch.int64),
-        _on_device(device, pad(signs[1].flip(1), (0, depth)), torch.int64),
-    ]
     program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
     bits = _CENSUS_COLUMNS * _CENSUS_ROWS - 1
-    numbers = [np.int32(n) for n in (width, planes, depth, UNSEEN_CENSUS, bits)]
-    size = (depth // device.lanes, width, height)
-    program.run("compare_signs", size, None, *arrays, costs, *numbers)
+    program.run(
+        "compare_signs",
+        (depth // device.lanes, width, height),
+        None,
+        left=_on_device(device, signs[0], torch.int64),
+        right=_on_device(device, pad(signs[1].flip(1), (0, depth)), torch.int64),
+        costs=costs,
+        width=width,
+        planes=planes,
+        depth=depth,
+        unseen=UNSEEN_CENSUS,
+        bits=bits,
+    )
     return costs
 
 
@@ -119,11 +131,20 @@ def feature_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> D
     costs = empty_volume(device, height, width, planes)
     depth = costs.shape[2]
     rows = [left.permute(1, 0, 2), pad(right.flip(2), (0, depth)).permute(1, 0, 2)]
-    arrays = [_on_device(device, values, torch.float32) for values in rows]
     program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
-    numbers = [np.int32(n) for n in (channels, width, planes, depth, UNSEEN_CORRELATION)]
-    size = (depth // device.lanes, width, height)
-    program.run("correlate_features", size, None, *arrays, costs, *numbers)
+    program.run(
+        "correlate_features",
+        (depth // device.lanes, width, height),
+        None,
+        left=_on_device(device, rows[0], torch.float32),
+        right=_on_device(device, rows[1], torch.float32),
+        costs=costs,
+        channels=channels,
+        width=width,
+        planes=planes,
+        depth=depth,
+        unseen=UNSEEN_CORRELATION,
+    )
     return costs
 
 
@@ -136,8 +157,8 @@ def right_costs(device: Device, costs: DeviceArray) -> DeviceArray:
     height, width, depth = costs.shape
     result = DeviceArray(device, costs.shape, torch.uint8)
     program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
-    numbers = (np.int32(width), np.int32(depth))
-    program.run("costs_of_right", (depth, width, height), None, costs, result, *numbers)
+    volumes = {"left_costs": costs, "right_costs": result}
+    program.run("costs_of_right", (depth, width, height), None, **volumes, width=width, depth=depth)
     return result
 
 

@@ -7,13 +7,12 @@ pixel, 0 = best, 255 = worst or unknown. D is a multiple of `PLANE_MULTIPLE`; pa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ..device import Device, DeviceArray
+from ..device import Device, DeviceArray, Program
 from ..errors import MemoryBudgetError
 from .limits import MAX_PENALTY
 
@@ -23,8 +22,6 @@ PLANE_MULTIPLE = 16
 """Vector width in planes."""
 _BYTES_A_CELL = 4
 """One byte of costs, two of sums, and one for the costs of a second image."""
-_CPU_BAND = 8
-"""Adjacent lines per work-item on a CPU, where neighbouring pixels share cache lines."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +98,21 @@ def aggregate(
     grey.write((image_gray.clamp(0, 1) * 255).round())
     jumps = DeviceArray(device, (256,), torch.uint16)
     jumps.write(penalties.by_grey_step())
-    band = _CPU_BAND if device.variant == "cpu" else 1
-    program = device.program("matching/semi_global", dtype=torch.float32, PLANES=planes, BAND=band)
+    program, band = _program(device, planes), device.profile.path_lines
     for path in _directions(height, width):
-        items = -(-path[0] // band)
-        numbers = [np.int32(value) for value in (width, *path, penalties.small)]
-        program.run("aggregate_direction", (items,), None, costs, grey, jumps, sums, *numbers)
+        items = -(-path.lines // band)
+        program.run(
+            "aggregate_direction",
+            (items,),
+            None,
+            costs=costs,
+            grey=grey,
+            jump_penalties=jumps,
+            sums=sums,
+            width=width,
+            small_penalty=penalties.small,
+            **path._asdict(),
+        )
     return sums
 
 
@@ -133,28 +139,43 @@ def pick(device: Device, aggregated: DeviceArray, planes: int) -> tuple[Tensor, 
     index = DeviceArray(device, (height, width))
     confidence = DeviceArray(device, (height, width))
     if height * width:
-        band = _CPU_BAND if device.variant == "cpu" else 1
-        program = device.program(
-            "matching/semi_global", dtype=torch.float32, PLANES=padded, BAND=band
-        )
+        program = _program(device, padded)
         size = (height * width,)
-        program.run("pick_plane", size, None, aggregated, index, confidence, np.int32(planes))
+        results = {"index": index, "confidence": confidence}
+        program.run("pick_plane", size, None, sums=aggregated, planes=planes, **results)
     return index.read().clone(), confidence.read().clone()
 
 
-def _directions(height: int, width: int) -> list[tuple[int, int, int, int, int, int, int]]:
-    """(lines, steps, origin, across, along, shift, slope) of each direction; see the kernel."""
+def _program(device: Device, planes: int) -> Program:
+    band = device.profile.path_lines
+    return device.program("matching/semi_global", dtype=torch.float32, PLANES=planes, BAND=band)
+
+
+class _Direction(NamedTuple):
+    """Arguments of the kernel `aggregate_direction`."""
+
+    lines: int
+    steps: int
+    origin: int
+    across: int
+    along: int
+    shift: int = 0
+    slope: int = 0
+
+
+def _directions(height: int, width: int) -> list[_Direction]:
+    """The eight directions."""
     last_row = (height - 1) * width
     paths = [
-        (height, width, 0, width, 1, 0, 0),
-        (height, width, width - 1, width, -1, 0, 0),
-        (width, height, 0, 1, width, 0, 0),
-        (width, height, last_row, 1, -width, 0, 0),
+        _Direction(height, width, 0, width, 1),
+        _Direction(height, width, width - 1, width, -1),
+        _Direction(width, height, 0, 1, width),
+        _Direction(width, height, last_row, 1, -width),
     ]
     lines = width + height - 1
     for slope in (1, -1):
         # Lines that move right start left of the image, and vice versa.
         shift = -(height - 1) if slope > 0 else 0
-        paths.append((lines, height, shift, 1, width + slope, shift, slope))
-        paths.append((lines, height, last_row + shift, 1, -width + slope, shift, slope))
+        paths.append(_Direction(lines, height, shift, 1, width + slope, shift, slope))
+        paths.append(_Direction(lines, height, last_row + shift, 1, -width + slope, shift, slope))
     return paths

@@ -2,10 +2,10 @@
 
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
-from .engine import Engine, Model, Optimizer
-from .model import GaussianModel, GaussianReader, OpenCLEngine, engine_on
+from .engine import Engine, Model
+from .model import GaussianModel, GaussianReader, OpenCLEngine
 from .photometric import photometric_loss
-from .topology import apply_edit, shared_among_copies
+from .topology import apply_edit
 
 __all__ = [
     "Adam",
@@ -16,10 +16,7 @@ __all__ = [
     "GaussianReader",
     "Model",
     "OpenCLEngine",
-    "Optimizer",
     "Relocation",
     "apply_edit",
-    "engine_on",
     "photometric_loss",
-    "shared_among_copies",
 ]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,9 +15,6 @@ from ..layout import PARAMETER_GROUPS, PARAMETERS, padded, row_count
 from .storage import GaussianStorage
 
 _BETA1, _BETA2 = 0.9, 0.999
-_CPU_SPAN = 4096
-"""Adjacent columns per work-item on a CPU."""
-_GPU_GROUP = 64
 _MAX_RATE = 1e37
 """Stays finite when divided by the first bias correction, 0.1 at the first step."""
 
@@ -93,55 +89,52 @@ class Adam:
         moving = _groups_without(skip)
         self._model.steps += 1
         gradients = self._model.gradients
-        unprojected = None if keep_gradients else gradients.take()
-        if unprojected is None:
-            gradients.settle()
+        deferred = None if keep_gradients else gradients.take_deferred()
+        if deferred is None:
+            gradients.store()
         for name in moving:
             self._steps[name] += 1
-        rates = self._rates(learning_rates)
-        groups = np.int32(sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving))
         rows = row_count(min(math.ceil(active_sh_degree), self._model.sh_degree))
-        if unprojected is None:
-            self._run(gradients.rows, rates, groups, rows)
+        arguments: dict[str, DeviceArray | float] = {
+            "first_moments": self.first_moments,
+            "second_moments": self.second_moments,
+            **self._rates(learning_rates),
+            "moving": sum(1 << i for i, name in enumerate(PARAMETER_GROUPS) if name in moving),
+            "undefined": self._undefined,
+        }
+        if deferred is None:
+            self._run(gradients.rows, arguments, rows)
         else:
-            moments = (self.first_moments, self.second_moments)
-            unprojected.step((*moments, *rates, groups, np.int32(rows), self._undefined))
+            deferred.step(**arguments, rows=rows)
         if not keep_gradients:
-            gradients.give_up()
+            gradients.mark_used()
         self._read_undefined = self._undefined.begin_reading()
 
-    def _rates(self, learning_rates: Mapping[str, float]) -> list[np.generic]:
+    def _rates(self, learning_rates: Mapping[str, float]) -> dict[str, float]:
         """Kernel arguments: the groups' learning rates and corrections for this step."""
-        real = np.float64 if self._model.dtype == torch.float64 else np.float32
         # The kernel skips groups without a step, so their correction only has to be finite.
         steps = {name: max(1, taken) for name, taken in self._steps.items()}
-        rates = [learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in PARAMETER_GROUPS]
-        corrections = [(1 - _BETA2 ** steps[name]) ** -0.5 for name in PARAMETER_GROUPS]
-        return [real(number) for number in (*rates, *corrections)]
+        rates = {name: learning_rates[name] / (1 - _BETA1 ** steps[name]) for name in steps}
+        return rates | {f"correct_{name}": (1 - _BETA2**n) ** -0.5 for name, n in steps.items()}
 
     def _run(
-        self, gradients: DeviceArray, rates: Sequence[np.generic], groups: np.int32, rows: int
+        self, gradients: DeviceArray, arguments: Mapping[str, DeviceArray | float], rows: int
     ) -> None:
         """Step from stored gradients."""
         model = self._model
         columns = padded(model.count)
-        on_cpu = model.device.variant == "cpu"
-        span, group = (_CPU_SPAN, 1) if on_cpu else (1, _GPU_GROUP)
+        span, group = model.device.profile.adam_span, model.device.profile.adam_group
         items = -(-columns // (span * group)) * group
         self.program.run(
             "adam",
             (items, rows),
             (group, 1),
-            model.parameters,
-            gradients,
-            self.first_moments,
-            self.second_moments,
-            *rates,
-            groups,
-            np.int32(columns),
-            np.int32(model.capacity),
-            np.int32(span),
-            self._undefined,
+            parameters=model.parameters,
+            gradients=gradients,
+            columns=columns,
+            capacity=model.capacity,
+            span=span,
+            **arguments,
         )
 
     def check_parameters(self) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..raster import Coverage, Images, Renderer, RenderRequest
-from .gradients import Unprojected
+from .gradients import DeferredPass
 from .storage import GaussianStorage
 
 
@@ -117,14 +117,14 @@ class RenderFunction(torch.autograd.Function):
         renderer, frame, (collect, absolute) = ctx.renderer, ctx.lease.frame, ctx.collect
         statistics = storage.statistics.rows(absolute) if collect else None
         gradients, bands = storage.gradients, frame.request.bands
-        gradients.complete()  # it reads sums that this pass overwrites
+        gradients.store_deferred()  # it reads sums that this pass overwrites
         if frame.pairs and not frame.request.wants_pose_gradient:
             sums = renderer.begin_backward(frame, images, absolute=collect and absolute)
             gradients.defer(
-                Unprojected(renderer, ctx.lease, storage.block, sums, statistics, ctx.detach)
+                DeferredPass(renderer, ctx.lease, storage.block, sums, statistics, ctx.detach)
             )
             return (None,) * 7
-        accumulate = gradients.make_ready(bands)
+        accumulate = gradients.begin_pass(bands)
         pose_gradient = renderer.backward(
             frame,
             storage.block,
@@ -134,5 +134,5 @@ class RenderFunction(torch.autograd.Function):
             statistics=statistics,
             detach=ctx.detach,
         )
-        gradients.written(bands)
+        gradients.end_pass(bands)
         return None, pose_gradient, *(None,) * 5

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +19,7 @@ _ALL_BANDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Unprojected:
+class DeferredPass:
     """A backward pass up to the (tile, Gaussian) pairs; the rest waits until it is known who reads it.
 
     Args:
@@ -53,35 +52,57 @@ class Unprojected:
             self.detach,
         )
 
-    def step(self, arguments: Sequence[DeviceArray | np.generic]) -> None:
-        """Use the gradients for a step of Adam, without writing them."""
+    def step(self, **arguments: DeviceArray | float) -> None:
+        """Use the gradients for a step of Adam, without writing them; its kernel arguments by name."""
         self.renderer.project_backward_and_step(
-            self.lease.frame, self.block, self.sums, self.statistics, self.detach, arguments
+            self.lease.frame, self.block, self.sums, self.statistics, self.detach, **arguments
         )
+
+
+class State(Enum):
+    """Where the sum of the renders' gradients is; see `Gradients`."""
+
+    ZERO = "zero: the rows hold older values, which the next pass overwrites"
+    STORED = "in the rows"
+    DEFERRED = "in a pass that has not been written; the rows are as in ZERO"
+    DEFERRED_MORE = "in the rows and in a pass that has not been added to them"
+    USED = "gone: a step of the optimizer used them without storing them"
 
 
 class Gradients:
     """Gradient rows `[rows, capacity]` that are zeroed at no cost and written when they are read.
 
-    Renders write their gradients on the device. Gradients of losses on parameters wait on the host until
-    `settle`, so that `of_renders` shows which Gaussians the renders touched. Sums have a fixed order:
-    renders in autograd's order, then the others.
+    The last stage of a render's backward pass is deferred. If nothing reads its gradients, the optimizer
+    uses them without storing them. The states of the renders' gradients:
 
-    The last stage of a render's backward pass waits (`Unprojected`). If nothing reads its gradients, the
-    optimizer uses them without storing them.
+        any state --zero--> ZERO          any state --mark_used--> USED (like ZERO, but reading raises)
+
+        ZERO or USED --defer--> DEFERRED --store_deferred--> STORED --defer--> DEFERRED_MORE
+                                   |                         ^    ^                 |
+                                   | take_deferred           |    `-store_deferred--'
+                                   v                         |
+                                  ZERO --end_pass or store---'
+
+    An iteration that nobody observes is ZERO, DEFERRED, ZERO, USED. Another `defer` or a read begins with
+    `store_deferred`; a pass that is not deferred is between `begin_pass` and `end_pass`.
+
+    Gradients of losses on parameters wait on the host until `store`, so that `of_renders` shows which
+    Gaussians the renders touched; the first after USED leads to ZERO. Sums have a fixed order: renders in
+    autograd's order, then the others.
 
     Attributes:
-        writes: number of backward passes that have written here.
+        state: of the renders' gradients.
+        passes: number of backward passes so far.
     """
 
     def __init__(self, device: Device, shape: tuple[int, ...], dtype: torch.dtype) -> None:
         self._rows = DeviceArray(device, shape, dtype)
-        self._unprojected: Unprojected | None = None
-        self._used = False
-        self.writes = 0
-        self._forgotten = False
-        self._written_degree = 0
-        self._waiting: dict[tuple[int, int], Tensor] = {}
+        self._rows_degree = 0
+        """SH bands above it are zero in the rows, whatever the state."""
+        self._deferred: DeferredPass | None = None
+        self._of_losses: dict[tuple[int, int], Tensor] = {}
+        self.state = State.STORED
+        self.passes = 0
 
     @property
     def rows(self) -> DeviceArray:
@@ -90,8 +111,8 @@ class Gradients:
         Raises:
             GaussianError: a step of the optimizer has used the gradients.
         """
-        self.complete()
-        if self._used:
+        self.store_deferred()
+        if self.state is State.USED:
             raise GaussianError(
                 "the gradients are gone: the optimizer's step used them without storing them",
                 field="gradients",
@@ -99,74 +120,83 @@ class Gradients:
             )
         return self._rows
 
-    def forget(self) -> None:
+    def zero(self) -> None:
         """Set all gradients to zero, lazily: the next backward pass overwrites them."""
-        if self._unprojected is not None and self._unprojected.statistics is not None:
-            self.complete()
-        self._unprojected, self._used = None, False
-        self._forgotten = True
-        self._waiting.clear()
+        if self._deferred is not None and self._deferred.statistics is not None:
+            self.store_deferred()  # for the statistics
+        self._deferred = None
+        self._of_losses.clear()
+        self.state = State.ZERO
 
-    def defer(self, unprojected: Unprojected) -> None:
+    def defer(self, deferred: DeferredPass) -> None:
         """Take over a backward pass whose last stage may wait."""
-        self.complete()
-        self._used = False
-        self.writes += 1
-        self._unprojected = unprojected
+        self.store_deferred()
+        self.passes += 1
+        self._deferred = deferred
+        stored = self.state is State.STORED
+        self.state = State.DEFERRED_MORE if stored else State.DEFERRED
 
-    def complete(self) -> None:
-        """Finish a waiting backward pass. Call this before its inputs change."""
-        waiting, self._unprojected = self._unprojected, None
-        if waiting is not None:
-            waiting.write(self._rows, self.make_ready(waiting.bands))
-            self._written(waiting.bands)
+    def store_deferred(self) -> None:
+        """Finish a deferred backward pass. Call this before its inputs change."""
+        deferred, self._deferred = self._deferred, None
+        if deferred is not None:
+            more = self.state is State.DEFERRED_MORE
+            self.state = State.STORED if more else State.ZERO
+            deferred.write(self._rows, self._prepare_rows(deferred.bands))
+            self._note_written(deferred.bands)
 
-    def take(self) -> Unprojected | None:
-        """Take the waiting backward pass if all gradients come from it, else return None."""
-        if not self._forgotten or self._waiting:
+    def take_deferred(self) -> DeferredPass | None:
+        """Take the deferred backward pass if all gradients come from it, else return None."""
+        if self.state is not State.DEFERRED or self._of_losses:
             return None
-        waiting, self._unprojected = self._unprojected, None
-        return waiting
+        deferred, self._deferred = self._deferred, None
+        self.state = State.ZERO
+        return deferred
 
-    def give_up(self) -> None:
-        """Forget all gradients; reading them raises until the next backward pass or `forget`."""
-        self.forget()
-        self._used = True
+    def mark_used(self) -> None:
+        """Drop all gradients; reading them raises until the next backward pass or `zero`."""
+        self.zero()
+        self.state = State.USED
 
-    def make_ready(self, sh_degree: int) -> bool:
-        """Prepare for a backward pass that writes SH bands up to a degree; call `written` after it.
+    def begin_pass(self, sh_degree: int) -> bool:
+        """Prepare for a backward pass that writes SH bands up to a degree; call `end_pass` after it.
 
         Returns:
             True if the pass must add to the rows, False if it must overwrite them.
         """
-        self.complete()
-        self._used = False
-        if self._forgotten and sh_degree < self._written_degree:
-            self._rows.fill(0)  # bands that this pass does not overwrite hold older values
-        # Adding needs valid rows; bands above the degree written so far hold zeros.
-        return not self._forgotten
+        self.store_deferred()
+        if self.state is State.USED:
+            self.state = State.ZERO
+        return self._prepare_rows(sh_degree)
 
-    def written(self, sh_degree: int) -> None:
+    def end_pass(self, sh_degree: int) -> None:
         """Record that a backward pass has written SH bands up to a degree."""
-        self.writes += 1
-        self._written(sh_degree)
+        self.passes += 1
+        self._note_written(sh_degree)
 
-    def _written(self, sh_degree: int) -> None:
-        before = 0 if self._forgotten else self._written_degree
-        self._written_degree = max(sh_degree, before)
-        self._forgotten = False
+    def _prepare_rows(self, sh_degree: int) -> bool:
+        zero = self.state is State.ZERO
+        if zero and sh_degree < self._rows_degree:
+            self._rows.fill(0)  # bands that the pass does not overwrite hold older values
+        # Adding needs valid rows; bands above the degree written so far hold zeros.
+        return not zero
+
+    def _note_written(self, sh_degree: int) -> None:
+        before = 0 if self.state is State.ZERO else self._rows_degree
+        self._rows_degree = max(sh_degree, before)
+        self.state = State.STORED
 
     def of_renders(self, first: int, last: int | None) -> Tensor:
         """Rows `[first, last)` of the renders' gradients."""
         rows = self.rows
-        self._write_pending_zeros()
+        self._store_zeros()
         return rows.read(first, last)
 
     def total(self, first: int, last: int) -> Tensor:
         """Rows `[first, last)` of all gradients."""
         values = self.of_renders(first, last)
-        waiting = self._waiting.get((first, last))
-        return values if waiting is None else values + waiting
+        of_losses = self._of_losses.get((first, last))
+        return values if of_losses is None else values + of_losses
 
     def add(self, name: str, first: int, values: Tensor) -> None:
         """Add the gradient of a loss on a parameter.
@@ -189,27 +219,28 @@ class Gradients:
                 where="backward of a loss on parameters",
                 fix="look for a division by zero or a square root of zero in the loss",
             )
-        self.writes += 1
-        self._used = False
+        self.passes += 1
+        if self.state is State.USED:
+            self.state = State.ZERO
         rows = (first, first + values.shape[0])
-        if rows not in self._waiting:
-            self._waiting[rows] = torch.zeros(
+        if rows not in self._of_losses:
+            self._of_losses[rows] = torch.zeros(
                 values.shape[0], self._rows.shape[1], dtype=self._rows.dtype
             )
-        self._waiting[rows][:, : values.shape[1]] += values
+        self._of_losses[rows][:, : values.shape[1]] += values
 
-    def settle(self) -> None:
-        """Update `rows` with pending zeros and gradients, for an optimizer on the device."""
+    def store(self) -> None:
+        """Write all gradients to `rows`, for an optimizer on the device."""
         gradients = self.rows
-        self._write_pending_zeros()
-        for rows, values in self._waiting.items():
+        self._store_zeros()
+        for rows, values in self._of_losses.items():
             gradients.write(gradients.read(*rows) + values, *rows)
             if rows[0] == ROWS_BEFORE_SH:
-                self._written_degree = _ALL_BANDS
-        self._waiting.clear()
+                self._rows_degree = _ALL_BANDS
+        self._of_losses.clear()
 
-    def _write_pending_zeros(self) -> None:
-        if self._forgotten:
+    def _store_zeros(self) -> None:
+        if self.state is State.ZERO:
             self._rows.fill(0)
-            self._written_degree = 0
-            self._forgotten = False
+            self._rows_degree = 0
+            self.state = State.STORED

@@ -19,7 +19,7 @@ from ..rendering import Rendering
 from .adam import Adam
 from .autograd import ACTIVATED, ParameterFunction, RenderFunction
 from .edit import Carried, Edit
-from .engine import Engine, Model
+from .engine import Model
 from .photometric import photometric_loss
 from .storage import GaussianStorage
 from .topology import apply_edit
@@ -69,7 +69,7 @@ class GaussianModel(GaussianStorage):
     @property
     def backward_passes(self) -> int:
         """Number of backward passes that have written gradients."""
-        return self.gradients.writes
+        return self.gradients.passes
 
     def gradient_of_renders(self, group: str) -> Tensor:
         """The gradient of a group of `PARAMETER_GROUPS` from renders only, `[rows, N]`."""
@@ -223,11 +223,6 @@ class OpenCLEngine:
     ) -> Carried:
         """See `apply_edit`."""
         return apply_edit(model, optimizer, edit, generator)
-
-
-def engine_on(device: Device | Engine) -> Engine:
-    """The OpenCL engine of a device; an engine is returned as it is."""
-    return OpenCLEngine(device) if isinstance(device, Device) else device
 
 
 class GaussianReader:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -21,19 +21,27 @@ SSIM_WEIGHT = 0.2
 """Weight of D-SSIM in the loss of 3DGS."""
 
 _CHANNELS = 3
-_BORDER = 5 * _CHANNELS
-"""Zeros before and after each row of a filtered map; see the kernel."""
-_SCRATCH_ROWS = 2 * 4 + 12 * 3
-"""Rows of scratch memory per band: lines and ring; see the kernel."""
-_GPU_TILE = 16
-"""Width and height of the pixels of a work-group on a GPU."""
+_RADIUS = 5
+"""Of the window, pixels."""
+_MAPS = 4
+"""Windows of x, x - y, (x - y)^2 and x y."""
 _DERIVATIVES = 3
-"""Numbers per pixel and channel that a GPU keeps between its two kernels."""
+"""Derivatives of SSIM by x, (x - y)^2 and x y."""
+_STEP_ROWS = 2
+"""Image rows that a step of a CPU's kernel computes."""
+_MACROS = {
+    "CHANNELS": _CHANNELS,
+    "RADIUS": _RADIUS,
+    "MAPS": _MAPS,
+    "DERIVATIVES": _DERIVATIVES,
+    "ROWS": _STEP_ROWS,
+}
+_BORDER = _RADIUS * _CHANNELS
+"""Zeros before and after each row of a filtered map; see the kernel."""
+_SCRATCH_ROWS = _STEP_ROWS * _MAPS + (2 * _RADIUS + _STEP_ROWS) * _DERIVATIVES
+"""Rows of scratch memory per band: lines and ring; see the kernel."""
 _WIDEST_VECTOR = 16
 """Reals of the widest vector that `kernels/lanes.cl` chooses."""
-_SHORT_BAND = 20
-"""Rows of a band on a CPU below which each core takes one band instead of two. A band computes ten extra
-rows; two per core balance a late start."""
 _WORKSPACES = 4
 """Number of image sizes whose scratch memory is cached."""
 
@@ -163,15 +171,14 @@ class _Bands:
 
     def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
         row = _CHANNELS * width
-        # 0: as wide as the registers. Rows narrower than a vector are processed real by real.
-        lanes = 0 if row >= _WIDEST_VECTOR else 1
-        self._program = device.program(
-            "optimization/ssim", "optimization/photometric", dtype=dtype, LANES=lanes
-        )
-        band = _band_of(height, device.compute_units)
+        # Rows narrower than a vector are processed real by real.
+        lanes = device.profile.wide_lanes if row >= _WIDEST_VECTOR else 1
+        sources = ("optimization/ssim", "optimization/photometric")
+        self._program = device.program(*sources, dtype=dtype, **_MACROS, LANES=lanes)
+        band = device.profile.ssim_band(height, device.compute_units)
         self._bands = -(-height // band)
         stride = row + 2 * _BORDER
-        self._size = (np.int32(height), np.int32(row), np.int32(stride), np.int32(band))
+        self._size = {"height": height, "row": row, "stride": stride, "band_rows": band}
         self._scratch = DeviceArray(device, (self._bands * _SCRATCH_ROWS, stride), dtype)
         self.sums = DeviceArray(device, (height, 2), dtype)
 
@@ -180,18 +187,21 @@ class _Bands:
         image: DeviceArray,
         target: DeviceArray,
         gradient: DeviceArray | None,
-        scales: tuple[np.generic, np.generic],
+        scales: Mapping[str, float],
     ) -> None:
         """Write the sums and, if given, the gradient."""
         self._program.run(
             "photometric",
             (self._bands,),
             (1,),
-            *(image, target, self._scratch, self.sums),
-            image if gradient is None else gradient,
-            *self._size,
-            np.int32(gradient is not None),
-            *scales,
+            image=image,
+            target=target,
+            scratch=self._scratch,
+            sums=self.sums,
+            result=image if gradient is None else gradient,
+            with_gradient=gradient is not None,
+            **self._size,
+            **scales,
         )
 
 
@@ -199,11 +209,11 @@ class _Tiles:
     """The kernels of a GPU: each work-group takes a tile of pixels."""
 
     def __init__(self, device: Device, height: int, width: int, dtype: torch.dtype) -> None:
-        self._program = device.program(
-            "optimization/ssim", "optimization/photometric_gpu", dtype=dtype
-        )
-        self._tiles = -(-height // _GPU_TILE) * -(-width // _GPU_TILE)
-        self._size = (np.int32(width), np.int32(height))
+        tile = device.profile.ssim_tile
+        sources = ("optimization/ssim", "optimization/photometric_gpu")
+        self._program = device.program(*sources, dtype=dtype, **_MACROS, TILE=tile)
+        self._tiles, self._group = -(-height // tile) * -(-width // tile), tile * tile
+        self._size = {"width": width, "height": height}
         self.sums = DeviceArray(device, (self._tiles, 2), dtype)
         self._derivatives = Scratch(device)
         self._values = height * width * _CHANNELS * _DERIVATIVES
@@ -214,19 +224,23 @@ class _Tiles:
         image: DeviceArray,
         target: DeviceArray,
         gradient: DeviceArray | None,
-        scales: tuple[np.generic, np.generic],
+        scales: Mapping[str, float],
     ) -> None:
         """Write the sums and, if given, the gradient."""
-        local = (_GPU_TILE * _GPU_TILE,)
-        size = (self._tiles * local[0],)
+        local, size = (self._group,), (self._tiles * self._group,)
         derivatives = image
         if gradient is not None:
             derivatives = self._derivatives.reserve("derivatives", self._dtype, self._values)
-        wanted = np.int32(gradient is not None)
-        images, run = (image, target, derivatives), self._program.run
-        run("dissimilarity", size, local, *images, self.sums, *self._size, wanted)
+        inputs: dict[str, DeviceArray | float] = {
+            "image": image,
+            "target": target,
+            "derivatives": derivatives,
+            **self._size,
+        }
+        wanted, run = gradient is not None, self._program.run
+        run("dissimilarity", size, local, **inputs, sums=self.sums, with_gradient=wanted)
         if gradient is not None:
-            run("gradient", size, local, *images, gradient, *self._size, *scales)
+            run("gradient", size, local, **inputs, result=gradient, **scales)
 
 
 class _Workspace:
@@ -260,13 +274,13 @@ class _Workspace:
         """Return the loss; write its gradient to `gradient`, if given. Weights are of L1 and D-SSIM."""
         l1_weight, ssim_weight = weights
         values = math.prod(self._shape)
-        real = np.float64 if self._dtype == torch.float64 else np.float32
+        scales = {"l1_scale": l1_weight / values, "ssim_scale": ssim_weight / values}
         with self._device.lock:
             self._kernels.run(
                 image,
                 self._device.uploads.of(target, self._dtype),
                 gradient,
-                (real(l1_weight / values), real(ssim_weight / values)),
+                scales,
             )
             l1, dissimilarity = map(float, self._kernels.sums.read().double().sum(dim=0) / values)
         return l1_weight * l1 + ssim_weight * dissimilarity
@@ -285,12 +299,6 @@ class _Workspace:
             memory = host_pool.empty((values,), self._dtype)
             return DeviceArray(self._device, (values,), self._dtype, over=memory)
         return self._on_device.reserve(name, self._dtype, values)
-
-
-def _band_of(height: int, cores: int) -> int:
-    """Image rows per band on a CPU."""
-    half = -(-height // (2 * cores))
-    return half if half >= _SHORT_BAND or cores == 1 else -(-height // cores)
 
 
 def _undefined(rgb: Tensor, target: Tensor) -> ExplainedError:

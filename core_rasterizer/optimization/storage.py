@@ -42,7 +42,7 @@ class GaussianStorage:
             parameters = array
         gradients = Gradients(self.device, parameters.shape, self.dtype)
         self.statistics = ScreenStatistics(
-            self.device, count, parameters.shape[1], self.dtype, gradients.complete
+            self.device, count, parameters.shape[1], self.dtype, gradients.store_deferred
         )
         self.gradients = gradients
         self.parameters = parameters
@@ -91,7 +91,7 @@ class GaussianStorage:
         undefined = undefined_places(values)
         if len(undefined):
             raise GaussianError("a value is not finite", field=name, index=int(undefined[0, 0]))
-        self.gradients.complete()
+        self.gradients.store_deferred()
         updated = torch.zeros(last - first, self.capacity, dtype=self.dtype)
         # torch takes twenty times as long as numpy to copy a transposed array.
         updated.numpy()[:, : self.count] = values.detach().numpy().T
@@ -107,7 +107,7 @@ class GaussianStorage:
 
     def zero_gradients(self) -> None:
         """Reset the gradients at no cost: the next backward pass overwrites them."""
-        self.gradients.forget()
+        self.gradients.zero()
 
     def touched(self) -> Tensor:
         """Which Gaussians contributed to a pixel in the renders since `zero_gradients`, bool `[N]`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,7 +14,6 @@ from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .storage import GaussianStorage
 
-_GROUP = 64
 _MAX_LOGIT = 16.0
 """Logits are clamped to it: the opacity is then 1 to seven digits, and the alternating sum of
 `shared_among_copies` keeps nine."""
@@ -147,8 +145,9 @@ class _Mover:
 
     def __init__(self, model: GaussianStorage, plan: _Plan) -> None:
         self._device, self._dtype = model.device, model.dtype
+        self._group = model.device.profile.topology_group
         self._program: Program = model.device.program(
-            "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=_GROUP
+            "raster/scene", "optimization/topology", dtype=model.dtype, TOPOLOGY_GROUP=self._group
         )
         self._count, self._capacity = plan.count, padded(plan.count)
         self._source = self._array(plan.source, torch.int32)
@@ -160,14 +159,14 @@ class _Mover:
         self._run(
             "gather_columns",
             self._capacity,
-            values,
-            self._source,
-            self._none if zero is None else self._array(zero, torch.int32),
-            target,
-            np.uint32(self._count),
-            np.uint32(values.shape[1]),
-            np.uint32(self._capacity),
-            np.uint32(values.shape[0]),
+            values=values,
+            source=self._source,
+            zero=self._none if zero is None else self._array(zero, torch.int32),
+            target=target,
+            count=self._count,
+            capacity=values.shape[1],
+            target_capacity=self._capacity,
+            rows=values.shape[0],
         )
         return target
 
@@ -176,12 +175,12 @@ class _Mover:
         self._run(
             "spread_children",
             noise.shape[0],
-            parameters,
-            self._array(noise, self._dtype),
-            np.uint32(first),
-            np.uint32(noise.shape[0]),
-            np.uint32(self._capacity),
-            (np.float64 if self._dtype == torch.float64 else np.float32)(shrink),
+            parameters=parameters,
+            noise=self._array(noise, self._dtype),
+            first=first,
+            children=noise.shape[0],
+            capacity=self._capacity,
+            shrink=shrink,
         )
 
     def append(self, parameters: DeviceArray, gaussians: Gaussians, first: int) -> None:
@@ -190,12 +189,12 @@ class _Mover:
         self._run(
             "append_columns",
             len(gaussians),
-            self._array(rows, self._dtype),
-            parameters,
-            np.uint32(first),
-            np.uint32(len(gaussians)),
-            np.uint32(self._capacity),
-            np.uint32(rows.shape[0]),
+            values=self._array(rows, self._dtype),
+            target=parameters,
+            first=first,
+            columns=len(gaussians),
+            target_capacity=self._capacity,
+            rows=rows.shape[0],
         )
 
     def _array(self, values: Tensor, dtype: torch.dtype) -> DeviceArray:
@@ -203,7 +202,7 @@ class _Mover:
         array.write(values)
         return array
 
-    def _run(self, kernel: str, items: int, *arguments: DeviceArray | np.generic) -> None:
-        size = -(-items // _GROUP) * _GROUP
-        self._program.run(kernel, (size,), (_GROUP,), *arguments)
+    def _run(self, kernel: str, items: int, /, **arguments: DeviceArray | float) -> None:
+        size = -(-items // self._group) * self._group
+        self._program.run(kernel, (size,), (self._group,), **arguments)
         self._device.finish()

@@ -5,13 +5,11 @@ from __future__ import annotations
 import torch
 
 from ..errors import MemoryBudgetError
+from ..layout import GAUSSIAN, PAIR, POSE
 from .block import Block
 from .frame import Frame
-from .pose import POSE_NUMBERS
 from .tile_lists import TileLists
 
-RECORD = 16
-"""Numbers in a Gaussian's record, and in the sums of a pair."""
 PAIR_LIMIT = 3 * 2**30
 """Largest number of pairs for 32-bit indices, with room for the margin of growing arrays."""
 
@@ -25,7 +23,8 @@ class Budget:
         lists: which need scratch memory.
         lanes: Gaussians per block.
         largest_buffer: bytes that the driver allocates at once.
-        bucket: bytes that the backward pass needs for each 32 pairs and for each tile.
+        pair: bytes that the backward pass needs for each pair, apart from its sums.
+        tile: the same for each tile.
     """
 
     def __init__(
@@ -35,17 +34,18 @@ class Budget:
         lists: TileLists,
         lanes: int,
         largest_buffer: int,
-        bucket: int = 0,
+        pair: int = 0,
+        tile: int = 0,
     ) -> None:
         self.limit, self._largest_buffer = limit, largest_buffer
-        self._bucket = bucket
+        self._pair, self._tile = pair, tile
         self._real = dtype.itemsize
         self._lists, self._lanes = lists, lanes
 
     @property
     def bytes_of_pair(self) -> int:
         """Its part of the lists, and a record of sums in the backward pass."""
-        return self._lists.bytes_of_pair + RECORD * self._real + self._bucket // 32
+        return self._lists.bytes_of_pair + PAIR.size * self._real + self._pair
 
     def pair_limit(self, frame: Frame, block: Block) -> int:
         """Number of (tile, Gaussian) pairs that fit next to the image and the Gaussians.
@@ -57,18 +57,18 @@ class Budget:
         # Three images (5 numbers per pixel), the transmittance, and 5 numbers of gradients.
         pixels = camera.width * camera.height * 11 * self._real
         # Record, slots, clamped colours.
-        gaussians = block.capacity * (RECORD * self._real + 2 * 4 + 1)
+        gaussians = block.capacity * (GAUSSIAN.size * self._real + 2 * 4 + 1)
         tiles = frame.tiles[0] * frame.tiles[1]
-        lists = self._lists.bytes_for(block.capacity, tiles) + self._bucket * tiles
+        lists = self._lists.bytes_for(block.capacity, tiles) + self._tile * tiles
         # Each block's share of the pose gradient.
         posed = frame.request.wants_pose_gradient
-        poses = block.capacity // self._lanes * POSE_NUMBERS * 8 if posed else 0
+        poses = block.capacity // self._lanes * POSE.size * 8 if posed else 0
         needed = pixels + gaussians + lists + poses
         if needed > self.limit:
             raise self._exceeded(
                 frame, block, f"needs {needed / 2**20:,.0f} MB before its first Gaussian is drawn"
             )
-        in_one_buffer = self._largest_buffer // (RECORD * self._real)
+        in_one_buffer = self._largest_buffer // (PAIR.size * self._real)
         return min(PAIR_LIMIT, in_one_buffer, (self.limit - needed) // self.bytes_of_pair)
 
     def grown(self, frame: Frame, block: Block) -> int:

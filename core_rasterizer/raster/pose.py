@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program, Scratch
+from ..layout import POSE
 from .block import Block
 from .request import LARGEST
 
-POSE_NUMBERS = 16
-"""Numbers per block of Gaussians: rotation 9, translation 3, view directions 3, unused 1."""
 _CHUNKS = 256
 """Runs of blocks that are summed in parallel; constant, for a fixed order of summation."""
 
@@ -30,22 +28,22 @@ class PoseSums:
         self._scratch = Scratch(device)
 
     def parts(self, block: Block) -> DeviceArray:
-        """Output of the projection's backward pass: `POSE_NUMBERS` per block of Gaussians."""
+        """Output of the projection's backward pass: a `POSE` per block of Gaussians."""
         rows = block.capacity // self._device.lanes
-        return self._scratch.reserve("parts", self._wide, rows * POSE_NUMBERS)
+        return self._scratch.reserve("parts", self._wide, rows * POSE.size)
 
     def gradient(self, program: Program, block: Block, camera: Camera) -> Tensor:
         """The gradient of `world_to_camera`, `[4, 4]` float64, from `parts`."""
-        sums = self._scratch.reserve("sums", self._wide, _CHUNKS * POSE_NUMBERS)
+        sums = self._scratch.reserve("sums", self._wide, _CHUNKS * POSE.size)
         program.run(
             "sum_poses",
-            (_CHUNKS, POSE_NUMBERS),
-            (1, POSE_NUMBERS),
-            self.parts(block),
-            sums,
-            np.uint32(-(-block.count // self._device.lanes)),
+            (_CHUNKS, POSE.size),
+            (1, POSE.size),
+            pose_sums=self.parts(block),
+            chunk_sums=sums,
+            blocks=-(-block.count // self._device.lanes),
         )
-        by_chunk = sums.read()[: _CHUNKS * POSE_NUMBERS].double().reshape(_CHUNKS, POSE_NUMBERS)
+        by_chunk = sums.read()[: _CHUNKS * POSE.size].double().reshape(_CHUNKS, POSE.size)
         return _through_center(by_chunk.sum(dim=0), camera)
 
 
@@ -56,7 +54,7 @@ def _through_center(sums: Tensor, camera: Camera) -> Tensor:
     directions, dL/dc = -h, which adds t h^T to dL/dR and R h to dL/dt.
 
     Args:
-        sums: `[POSE_NUMBERS]` over all Gaussians.
+        sums: `[16]`, a `POSE` over all Gaussians.
 
     Returns:
         `[4, 4]` float64; the last row is zero.

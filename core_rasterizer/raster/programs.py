@@ -23,10 +23,6 @@ _BACKWARD = "raster/project_backward"
 _ABSOLUTE = "ABSOLUTE"
 """Macro of kernels that also sum the absolute screen gradients."""
 
-_CPU_SPAN = 128
-"""Gaussians per work-item of the projection kernels on a CPU. PoCL gives each work-item of a group a copy of
-private arrays, and a group of 16 would exceed the first level of caches."""
-
 OVERRIDES = frozenset(
     (
         "ALPHA_CUT_INVERSE",
@@ -43,19 +39,6 @@ OVERRIDES = frozenset(
 _BLENDING_ONLY = ("EARLY_STOP", "EXP2_DEGREE", "RASTER_LANES", "SLANTED")
 _PROJECTION_ONLY = ("EXACT_TILE_TEST",)
 """Macros that the other kernels do not use: programs that differ in them only are built once."""
-
-
-def tile_for(device: Device) -> tuple[int, int]:
-    """Width and height of a tile, pixels.
-
-    On a CPU a work-item renders a tile: with few cores tiles are large, for less overlap (smaller ones
-    cost 2 to 8 % more), with many they are small, so that 504x378 pixels are six tiles for each of 64.
-    """
-    if device.variant == "gpu":
-        return 16, 16
-    if device.compute_units <= 4:
-        return 64, 32
-    return (32, 32) if device.compute_units <= 16 else (32, 16)
 
 
 class RasterPrograms:
@@ -93,12 +76,15 @@ class RasterPrograms:
         self._device = device
         self._dtype = dtype
         self._on_cpu = device.variant == "cpu"
-        width, height = tile_for(device)
-        # RASTER_LANES 0: chosen by the kernels from the processor's registers.
-        macros = {"TILE_WIDTH": width, "TILE_HEIGHT": height, "RASTER_LANES": 0, **overrides}
+        profile = device.profile
+        macros: dict[str, float] = {
+            "TILE_WIDTH": profile.tile[0],
+            "TILE_HEIGHT": profile.tile[1],
+            "RASTER_LANES": profile.wide_lanes,
+            **overrides,
+        }
         self.tile = (int(macros["TILE_WIDTH"]), int(macros["TILE_HEIGHT"]))
-        self._group = 1 if self._on_cpu else 64
-        self._span = _CPU_SPAN if self._on_cpu else 1
+        self._group, self._span = profile.project_group, profile.project_span
         self._projection_macros = {
             **_without(macros, _BLENDING_ONLY),
             **footprint.macros,
@@ -158,21 +144,24 @@ class RasterPrograms:
             "raster/raster_cpu" if self._on_cpu else "raster/raster_gpu",
             dtype=self._dtype,
             **self._raster_macros,
+            **({} if self._on_cpu else {"BUCKET": self._device.profile.bucket}),
             **({_ABSOLUTE: 1} if absolute else {}),
         )
 
-    def run_on_blocks(self, program: Program, kernel: str, capacity: int, *arguments: Any) -> None:
+    def run_on_blocks(
+        self, program: Program, kernel: str, capacity: int, /, **arguments: Any
+    ) -> None:
         """Run a projection kernel over `capacity` Gaussians."""
         items = -(-capacity // self._span)
         size = -(-items // self._group) * self._group
-        program.run(kernel, (size,), (self._group,), *arguments)
+        program.run(kernel, (size,), (self._group,), **arguments)
 
     def run_on_tiles(
-        self, program: Program, kernel: str, tiles: tuple[int, int], *arguments: Any
+        self, program: Program, kernel: str, tiles: tuple[int, int], /, **arguments: Any
     ) -> None:
         """Run a kernel over tiles (across, down): one work-item per tile on a CPU, else per pixel."""
         local = 1 if self._on_cpu else self.tile[0] * self.tile[1]
-        program.run(kernel, (tiles[0] * tiles[1] * local,), (local,), *arguments)
+        program.run(kernel, (tiles[0] * tiles[1] * local,), (local,), **arguments)
 
 
 def _without(macros: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:

@@ -6,22 +6,21 @@ Autograd is in `optimization/autograd.py` (Gaussians on the device) and `functio
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
 from ..gaussians import undefined_places
-from ..layout import PARAMETER_BITS, row_count
+from ..layout import COUNTERS, GAUSSIAN, PAIR, PARAMETER_BITS, row_count
 from .block import Block
-from .budget import RECORD, Budget
-from .checkpoints import Checkpoints
+from .budget import Budget
 from .frame import Frame, Lease
 from .gpu_tile_lists import GpuTileLists
 from .images import CHANNELS, Images
+from .pixel_states import PixelStates
 from .pose import PoseSums
 from .programs import RasterPrograms
 from .request import Footprint, RenderRequest
@@ -63,8 +62,8 @@ class Renderer:
         self.programs = RasterPrograms(
             device, dtype, self._lists, footprint or Footprint(), overrides or {}
         )
-        self._checkpoints = (
-            Checkpoints(device, dtype, self.programs) if device.variant == "gpu" else None
+        self._pixel_states = (
+            PixelStates(device, dtype, self.programs) if device.variant == "gpu" else None
         )
         self.budget = Budget(
             memory_budget or device.memory_bytes // 2,
@@ -72,7 +71,8 @@ class Renderer:
             self._lists,
             device.lanes,
             device.buffer_bytes,
-            self._checkpoints.bytes_of_bucket if self._checkpoints else 0,
+            pair=self._pixel_states.bytes_of_pair if self._pixel_states else 0,
+            tile=self._pixel_states.bytes_of_tile if self._pixel_states else 0,
         )
         self._wide = torch.float64 if device.supports_double else dtype
         self._poses = PoseSums(device, self._wide)
@@ -95,7 +95,7 @@ class Renderer:
             frame = lease.frame
             frame.request = request
             self._prepare(frame, block, request)
-            self._project(frame, block, request)
+            self._project(frame, block)
             images = frame.new_images(self.dtype)
             while True:
                 self._lists.build(self.programs.base, frame, block.count, self._capacity_of(frame))
@@ -174,12 +174,12 @@ class Renderer:
         """
         camera = frame.request.camera
         with self.device.lock:
-            images = [
-                self._image_gradient(
+            images = {
+                f"d_{name}": self._image_gradient(
                     gradient, math.prod((camera.height, camera.width, *rest)), name
                 )
                 for gradient, (name, rest) in zip(image_gradients, CHANNELS.items(), strict=True)
-            ]
+            }
             if not frame.pairs:
                 return None
             with_depth = image_gradients[1] is not None
@@ -191,27 +191,26 @@ class Renderer:
     def _raster_backward(
         self,
         frame: Frame,
-        image_gradients: list[DeviceArray],
+        image_gradients: dict[str, DeviceArray],
         with_depth: bool,
         with_absolute: bool,
     ) -> DeviceArray:
         """Run the blending kernels backward; return the sums of each (tile, Gaussian) pair."""
         arrays = frame.arrays
-        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * RECORD)
-        if self._checkpoints:
-            self._checkpoints.backward(frame, image_gradients, sums, with_depth, with_absolute)
+        sums = self._scratch.reserve("pair_sums", self.dtype, self._capacity_of(frame) * PAIR.size)
+        if self._pixel_states:
+            self._pixel_states.backward(frame, image_gradients, sums, with_depth, with_absolute)
             return sums
         self.programs.run_on_tiles(
             self.programs.raster(absolute=with_absolute),
             "raster_backward",
             frame.tiles,
-            *arrays.all(
-                "records", "pairs", "tile_starts", "camera", "rgb", "depth", "transmittance"
-            ),
-            *image_gradients,
-            sums,
-            np.int32(frame.tiles[0]),
-            np.int32(with_depth),
+            **arrays.named("records", "pairs", "tile_starts", "camera", "rgb", "depth"),
+            final_transmittance=arrays["transmittance"],
+            **image_gradients,
+            pair_sums=sums,
+            tiles_x=frame.tiles[0],
+            with_depth=with_depth,
         )
         return sums
 
@@ -231,17 +230,12 @@ class Renderer:
             self.programs.projection(request),
             "project_backward",
             block.capacity,
-            *self._inputs(frame, block, sums),
-            gradients,
-            statistics if statistics is not None else gradients,
-            np.uint32(block.count),
-            np.uint32(block.capacity),
-            np.int32(request.bands),
-            np.int32(block.activated),
-            np.int32(request.modifiers is not None),
-            np.int32(accumulate),
-            *_options(statistics, detach),
-            *((self._poses.parts(block),) if request.wants_pose_gradient else ()),
+            **self._inputs(frame, block),
+            **self._backward_inputs(frame, sums, statistics, detach),
+            activated=block.activated,
+            gradients=gradients,
+            accumulate=accumulate,
+            pose_sums=self._poses.parts(block) if request.wants_pose_gradient else gradients,
         )
         self.device.queue.flush()
 
@@ -252,7 +246,8 @@ class Renderer:
         sums: DeviceArray,
         statistics: DeviceArray | None,
         detach: Collection[str],
-        step: Sequence[DeviceArray | np.generic],
+        /,
+        **step: DeviceArray | float,
     ) -> None:
         """Run the last part of `backward` and a step of Adam in one kernel, without storing gradients.
 
@@ -262,27 +257,44 @@ class Renderer:
             block: with stored parameters (`activated` False), which the step changes.
             step: moments, rates and the rest of the kernel's arguments; see `Adam`.
         """
-        request = frame.request
         self.programs.run_on_blocks(
-            self.programs.step(request),
+            self.programs.step(frame.request),
             "project_backward_and_step",
             block.capacity,
-            *self._inputs(frame, block, sums),
-            statistics if statistics is not None else sums,
-            np.uint32(block.count),
-            np.uint32(block.capacity),
-            np.int32(request.bands),
-            np.int32(request.modifiers is not None),
-            *_options(statistics, detach),
-            *step,
+            **self._inputs(frame, block),
+            **self._backward_inputs(frame, sums, statistics, detach),
+            **step,
         )
 
-    def _inputs(self, frame: Frame, block: Block, sums: DeviceArray) -> list[DeviceArray]:
-        """First arguments of the projection's backward kernels."""
-        arrays = frame.arrays
-        modifiers = _modifiers(frame, block)
-        fixed = arrays.all("camera", "clamped")
-        return [block.parameters, modifiers, *fixed, sums, *arrays.all("slot_start", "slot_count")]
+    def _inputs(self, frame: Frame, block: Block) -> dict[str, DeviceArray | float]:
+        """Arguments that the projection's kernels share, forward and backward."""
+        request = frame.request
+        return {
+            "parameters": block.parameters,
+            # If unused, any array.
+            "modifiers": frame.arrays["modifiers"] if request.is_modified else block.parameters,
+            **frame.arrays.named("camera", "slot_count", "clamped"),
+            "count": block.count,
+            "capacity": block.capacity,
+            "degree": request.bands,
+            "modified": request.modifiers is not None,
+        }
+
+    def _backward_inputs(
+        self,
+        frame: Frame,
+        sums: DeviceArray,
+        statistics: DeviceArray | None,
+        detach: Collection[str],
+    ) -> dict[str, DeviceArray | float]:
+        """Arguments that the backward kernels of the projection share."""
+        return {
+            "pair_sums": sums,
+            "slot_start": frame.arrays["slot_start"],
+            "statistics": sums if statistics is None else statistics,
+            "collect": 0 if statistics is None else statistics.shape[0] - 1,
+            "detached": sum(PARAMETER_BITS[name] for name in detach),
+        }
 
     def _prepare(self, frame: Frame, block: Block, request: RenderRequest) -> None:
         """Allocate arrays, and send the camera, the opacity factors and the smoothing."""
@@ -293,12 +305,12 @@ class Renderer:
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
         reserve = frame.arrays.reserve
-        reserve("records", self.dtype, capacity * RECORD)
+        reserve("records", self.dtype, capacity * GAUSSIAN.size)
         reserve("slot_start", torch.int32, capacity)
         reserve("slot_count", torch.int32, capacity)
         reserve("clamped", torch.uint8, capacity)
         reserve("tile_starts", torch.int32, tiles + 1)
-        reserve("counters", torch.int64, 4)
+        reserve("counters", torch.int64, COUNTERS.size)
         reserve("transmittance", self.dtype, camera.width * camera.height)
         reserve("pairs", torch.int32, 2 * self._pair_capacity)
         self._lists.reserve(capacity, tiles)
@@ -323,23 +335,16 @@ class Renderer:
         else:
             arrays.reserve(name, values.dtype, values.numel()).hand_over(values)
 
-    def _project(self, frame: Frame, block: Block, request: RenderRequest) -> None:
-        arrays = frame.arrays
+    def _project(self, frame: Frame, block: Block) -> None:
         self.programs.run_on_blocks(
-            self.programs.projection(request),
+            self.programs.projection(frame.request),
             "project",
             block.capacity,
-            block.parameters,
-            _modifiers(frame, block),
-            *arrays.all("camera", "records"),
-            self._lists.keys,
-            *arrays.all("slot_count", "clamped"),
-            self._lists.covers,
-            np.uint32(block.count),
-            np.uint32(block.capacity),
-            np.int32(request.bands),
-            np.int32(block.activated),
-            np.int32(request.modifiers is not None),
+            **self._inputs(frame, block),
+            activated=block.activated,
+            records=frame.arrays["records"],
+            keys=self._lists.keys,
+            covers=self._lists.covers,
         )
 
     def _blend(self, frame: Frame, images: Images) -> None:
@@ -348,11 +353,11 @@ class Renderer:
             self.programs.raster(),
             "raster",
             frame.tiles,
-            *arrays.all("records", "pairs", "tile_starts", "counters", "camera"),
-            *(images[name] for name in CHANNELS),
-            arrays["transmittance"],
-            np.int32(frame.tiles[0]),
-            np.uint32(self._capacity_of(frame)),
+            **arrays.named("records", "pairs", "tile_starts", "counters", "camera"),
+            **{name: images[name] for name in CHANNELS},
+            final_transmittance=arrays["transmittance"],
+            tiles_x=frame.tiles[0],
+            pair_capacity=self._capacity_of(frame),
         )
 
     def _capacity_of(self, frame: Frame) -> int:
@@ -372,17 +377,6 @@ class Renderer:
         array = self._scratch.reserve(f"d_{name}", self.dtype, size)
         array.write(gradient, 0, size)
         return array
-
-
-def _options(statistics: DeviceArray | None, detach: Collection[str]) -> tuple[np.int32, np.int32]:
-    """Arguments of the same kernels: which statistics to collect, and what to detach."""
-    collect = 0 if statistics is None else statistics.shape[0] - 1
-    return np.int32(collect), np.int32(sum(PARAMETER_BITS[name] for name in detach))
-
-
-def _modifiers(frame: Frame, block: Block) -> DeviceArray:
-    """Opacity factors and smoothing; if unused, any array."""
-    return frame.arrays["modifiers"] if frame.request.is_modified else block.parameters
 
 
 def _refuse_undefined(gradient: Tensor, name: str) -> None:

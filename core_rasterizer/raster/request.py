@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..errors import CameraError, GaussianError
+from ..layout import CAMERA
 
 NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
@@ -18,7 +19,6 @@ DILATION = 0.3
 """Added to the variances of every ellipse (3DGS), square pixels."""
 LARGEST = 1e37
 """REAL_LARGEST of the kernels; larger values are not rendered, larger gradients become 0."""
-_CAMERA_NUMBERS = 32
 
 
 @dataclass(frozen=True)
@@ -136,31 +136,33 @@ class RenderRequest:
             _check_smoothing(self.smoothing, count)
 
     def camera_block(self) -> Tensor:
-        """Camera and options in the order of `kernels/scene.cl`, `[32]` float64."""
+        """Camera and options, a `layout.CAMERA`, `[32]` float64."""
         camera = self.camera
         pose = camera.world_to_camera.detach()
         # x/z and y/z are clamped a little outside the image, where the linearized projection of a wide
         # Gaussian diverges (3DGS: 1.3 times the half field of view; here for off-centre images too).
         margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
-        values = [
-            *pose[:3, :3].reshape(-1).tolist(),
-            *pose[:3, 3].tolist(),
-            *camera.center.detach().tolist(),
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
-            -camera.cx / camera.fx - margin_x,
-            (camera.width - camera.cx) / camera.fx + margin_x,
-            -camera.cy / camera.fy - margin_y,
-            (camera.height - camera.cy) / camera.fy + margin_y,
-            camera.width,
-            camera.height,
-            self.near,
-            *self.background,
-            self.sh_degree - self.bands + 1,
-        ]
-        return torch.tensor(values + [0.0] * (_CAMERA_NUMBERS - len(values)), dtype=torch.float64)
+        block = CAMERA.packed(
+            rotation=pose[:3, :3].reshape(-1).tolist(),
+            translation=pose[:3, 3].tolist(),
+            center=camera.center.detach().tolist(),
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            limits=(
+                -camera.cx / camera.fx - margin_x,
+                (camera.width - camera.cx) / camera.fx + margin_x,
+                -camera.cy / camera.fy - margin_y,
+                (camera.height - camera.cy) / camera.fy + margin_y,
+            ),
+            width=camera.width,
+            height=camera.height,
+            near=self.near,
+            background=self.background,
+            last_band=self.sh_degree - self.bands + 1,
+        )
+        return torch.tensor(block, dtype=torch.float64)
 
 
 def _check_smoothing(smoothing: Tensor, count: int) -> None:

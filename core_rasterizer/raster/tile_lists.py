@@ -2,42 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..device import Device, DeviceArray, Program, Scratch
+from ..layout import COUNTERS
 from .frame import Frame
-
-DIGIT_BITS = 11
-BUCKETS = 1 << DIGIT_BITS
-"""Row length of the sort's table of counts, which has one row per chunk."""
-_SCAN_GROUP = 16
-_MAX_CHUNKS = 64
-FEW = 1 << 13
-
-
-def chunks_of(device: Device) -> int:
-    """Number of chunks of Gaussians that the work-items of a CPU sort and bin in parallel.
-
-    Two per core, so that one that starts late is not waited for long.
-    """
-    return min(_MAX_CHUNKS, 2 * device.compute_units)
-
-
-def few(device: Device) -> int:
-    """Up to this many Gaussians are sorted and binned by one work-item, in one launch instead of fourteen.
-
-    On two cores the launches take as long as half of the work on 16,384 Gaussians; on c cores the
-    others save the share 1 - 1/c.
-    """
-    others = device.compute_units - 1
-    return FEW * (others + 1) // others if others else sys.maxsize
 
 
 class TileLists(ABC):
@@ -57,7 +30,8 @@ class TileLists(ABC):
     bytes_of_pair: int
 
     def __init__(self, device: Device) -> None:
-        self._device = device
+        self._device, self._profile = device, device.profile
+        self._buckets = 1 << self._profile.digit_bits
         self._scratch = Scratch(device)
 
     @property
@@ -96,27 +70,29 @@ class CpuTileLists(TileLists):
     """On a CPU: a stable counting sort, one work-item per chunk of neighbouring Gaussians."""
 
     sources = ("raster/scan", "raster/sort", "raster/bin", "raster/lists_of_few")
-    macros = MappingProxyType(
-        {"DIGIT_BITS": DIGIT_BITS, "SCAN_GROUP": _SCAN_GROUP, "SCAN_ITEMS": 1}
-    )
     bytes_of_pair = 8
 
     def __init__(self, device: Device) -> None:
         super().__init__(device)
-        self._chunks, self._few = chunks_of(device), few(device)
+        self._chunks = self._profile.chunks
+        self.macros = {
+            "DIGIT_BITS": self._profile.digit_bits,
+            "SCAN_GROUP": self._profile.scan_group,
+            "SCAN_ITEMS": 1,
+        }
 
     def _sizes(self, capacity: int, tiles: int) -> dict[str, tuple[torch.dtype, int]]:
         sizes = {
             **dict.fromkeys(("keys", "keys_a", "order_a", "keys_b", "order_b"), capacity),
             "covers": 4 * capacity,
-            "counts": self._chunks * max(BUCKETS, tiles),
-            "totals": BUCKETS + 1,
+            "counts": self._chunks * max(self._buckets, tiles),
+            "totals": self._buckets + 1,
             "chunk_pairs": self._chunks + 1,
         }
         return {name: (torch.int32, elements) for name, elements in sizes.items()}
 
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
-        if count <= self._few:
+        if count <= self._profile.few:
             self._build_alone(program, frame, count, pair_capacity)
         else:
             self._sort(program, frame, count)
@@ -128,14 +104,14 @@ class CpuTileLists(TileLists):
             "lists_of_few",
             (1,),
             (1,),
-            arrays["records"],
-            *scratch.all("covers", "keys", "keys_a", "order_a", "keys_b", "order_b", "counts"),
-            *arrays.all("tile_starts", "pairs", "slot_start", "slot_count", "counters"),
-            np.uint32(count),
-            np.uint32(frame.tiles[0] * frame.tiles[1]),
-            np.int32(frame.tiles[0]),
-            np.uint32(frame.pair_limit),
-            np.uint32(pair_capacity),
+            **scratch.named("covers", "keys", "keys_a", "order_a", "keys_b", "order_b", "counts"),
+            **arrays.named("records", "tile_starts", "pairs"),
+            **arrays.named("slot_start", "slot_count", "counters"),
+            count=count,
+            tiles=frame.tiles[0] * frame.tiles[1],
+            tiles_x=frame.tiles[0],
+            pair_limit=frame.pair_limit,
+            pair_capacity=pair_capacity,
         )
 
     def _sort(self, program: Program, frame: Frame, count: int) -> None:
@@ -144,38 +120,51 @@ class CpuTileLists(TileLists):
         counts, totals = scratch["counts"], scratch["totals"]
         passes = (("keys", "keys", "a"), ("keys_a", "order_a", "b"), ("keys_b", "order_b", "a"))
         for number, (keys, order, out) in enumerate(passes):
-            numbers = (count, number * DIGIT_BITS, number == 0)
-            settings = [np.uint32(value) for value in numbers]
-            self._run_chunks(program, "count_digits", scratch[keys], counts, counters, *settings)
-            self._scan(program, counts, totals, BUCKETS, counters, counter=0)
+            shared: dict[str, DeviceArray | float] = {
+                "keys": scratch[keys],
+                "counts": counts,
+                "counters": counters,
+                "count": count,
+                "shift": number * self._profile.digit_bits,
+                "first": number == 0,
+            }
+            self._run_chunks(program, "count_digits", **shared)
+            self._scan(program, counts, totals, self._buckets, counters, "visible")
             self._run_chunks(
                 program,
                 "scatter_digits",
-                *scratch.all(keys, order, f"keys_{out}", f"order_{out}"),
-                *(counts, totals, counters, *settings),
+                **shared,
+                order=scratch[order],
+                keys_out=scratch[f"keys_{out}"],
+                order_out=scratch[f"order_{out}"],
+                starts=totals,
             )
 
     def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
         arrays, scratch = frame.arrays, self._scratch
-        counters, counts, order = arrays["counters"], scratch["counts"], scratch["order_a"]
+        counters, counts = arrays["counters"], scratch["counts"]
         tiles = frame.tiles[0] * frame.tiles[1]
-        size = (np.uint32(tiles), np.int32(frame.tiles[0]))
         chunk_pairs = scratch["chunk_pairs"]
+        shared: dict[str, DeviceArray | float] = {
+            **arrays.named("records", "counters"),
+            **scratch.named("covers", "counts"),
+            "order": scratch["order_a"],
+            "tiles": tiles,
+            "tiles_x": frame.tiles[0],
+        }
+        limit = frame.pair_limit
         self._run_chunks(
-            program,
-            "count_tiles",
-            *(arrays["records"], scratch["covers"], order, counts, chunk_pairs, counters),
-            *(*size, np.uint32(frame.pair_limit)),
+            program, "count_tiles", **shared, chunk_pairs=chunk_pairs, pair_limit=limit
         )
-        self._scan(program, counts, arrays["tile_starts"], tiles, counters, counter=2)
-        self._scan_buckets(program, chunk_pairs, self._chunks, counters, counter=1)
+        self._scan(program, counts, arrays["tile_starts"], tiles, counters, "listed")
+        self._scan_buckets(program, chunk_pairs, self._chunks, counters, "pairs")
         self._run_chunks(
             program,
             "fill_tiles",
-            *(arrays["records"], scratch["covers"], order, counts),
-            *(arrays["tile_starts"], chunk_pairs),
-            *arrays.all("pairs", "slot_start", "slot_count", "counters"),
-            *(*size, np.uint32(pair_capacity)),
+            **shared,
+            **arrays.named("tile_starts", "pairs", "slot_start", "slot_count"),
+            chunk_starts=chunk_pairs,
+            pair_capacity=pair_capacity,
         )
 
     def _scan(
@@ -185,16 +174,17 @@ class CpuTileLists(TileLists):
         totals: DeviceArray,
         buckets: int,
         counters: DeviceArray,
-        counter: int,
+        counter: str,
     ) -> None:
+        group = self._profile.scan_group
         program.run(
             "scan_chunks",
-            (-(-buckets // _SCAN_GROUP) * _SCAN_GROUP,),
-            (_SCAN_GROUP,),
-            counts,
-            totals,
-            np.uint32(buckets),
-            np.uint32(self._chunks),
+            (-(-buckets // group) * group,),
+            (group,),
+            counts=counts,
+            totals=totals,
+            buckets=buckets,
+            chunks=self._chunks,
         )
         self._scan_buckets(program, totals, buckets, counters, counter)
 
@@ -204,11 +194,17 @@ class CpuTileLists(TileLists):
         totals: DeviceArray,
         buckets: int,
         counters: DeviceArray,
-        counter: int,
+        counter: str,
     ) -> None:
         program.run(
-            "scan_buckets", (1,), (1,), totals, counters, np.uint32(buckets), np.uint32(counter)
+            "scan_buckets",
+            (1,),
+            (1,),
+            totals=totals,
+            counters=counters,
+            buckets=buckets,
+            counter=COUNTERS.first[counter],
         )
 
-    def _run_chunks(self, program: Program, kernel: str, *arguments: Any) -> None:
-        program.run(kernel, (self._chunks,), (1,), *arguments)
+    def _run_chunks(self, program: Program, kernel: str, /, **arguments: Any) -> None:
+        program.run(kernel, (self._chunks,), (1,), **arguments)

@@ -1,14 +1,13 @@
 """Data that components may read but not write.
 
 torch counts the writes into a tensor, so checking each call is cheap. Writes that bypass torch, through numpy
-or `.data`, are only found by comparing every bit: in a component's first call, and within `checked_plugins`.
+or `.data`, are only found by comparing every bit; `policy` says when.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 _Mark = tuple[int, bool, object]
 _mark: Callable[[Tensor], _Mark] = attrgetter("_version", "requires_grad", "_backward_hooks")
 """Values that change with every write through torch, and with a first hook."""
-_CHECKED: ContextVar[bool] = ContextVar("checked", default=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,25 +94,6 @@ class ReadOnlyGuard:
 
 
 NOTHING = ReadOnlyGuard()
-
-
-@contextmanager
-def checked_plugins(wanted: bool = True) -> Iterator[None]:
-    """Within the block, compare all data before and after each call into a component.
-
-    Each call takes longer by a copy and a comparison of the scene and the Gaussians.
-    """
-    token = _CHECKED.set(wanted)
-    try:
-        yield
-    finally:
-        _CHECKED.reset(token)
-
-
-def are_checked() -> bool:
-    """Whether this is within `checked_plugins`."""
-    return _CHECKED.get()
-
 
 _VIEW_TENSORS = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
 """Attributes of views, and their names in messages."""

@@ -32,6 +32,10 @@ class Settings(pydantic.BaseModel):
         use_attribute_docstrings=True,
         defer_build=True,  # unused models are not built
     )
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Present names by former names; pipelines with a former name open, with a warning."""
+    removed: ClassVar[Mapping[str, object]] = {}
+    """Settings that no longer exist, with the value that the code now has; pipelines with this value open."""
 
 
 # With a default (in `typing` from Python 3.13 on), `StereoPrior.choose(...)` has a full type.

@@ -39,14 +39,6 @@ class SceneLoader(Component[SettingsType], ABC):
         """Whether an existing folder has the content in `recognized_by`; used by `stereogs check`."""
         return False
 
-    @classmethod
-    def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
-        """Return settings, besides `path`, for `stereogs demo` on a folder that this loader recognizes.
-
-        None if training on a few views would take longer than minutes, or nothing could be scored.
-        """
-        return None
-
     @abstractmethod
     def load(self) -> Scene:
         """Return the scene that the settings describe. The host validates it afterwards."""

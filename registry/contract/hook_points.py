@@ -7,6 +7,7 @@ in a pipeline; it is unique within its hook point.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
@@ -16,6 +17,8 @@ import pluggy
 from ..confidence import ConfidenceEstimator
 from ..runners import Runner
 from . import components as c
+from .checks import answers as a
+from .checks.scene import check_initialization, validate
 from .component import Component
 from .prior import Prior
 
@@ -49,9 +52,14 @@ STAGES = (
 BEFORE, RENDER, LOSS, BACKWARD, OPTIMIZER, AFTER, DURING = range(len(STAGES))
 
 
+def _accepted(answer: Any, *given: Any) -> Any:
+    """Check nothing."""
+    return answer
+
+
 @dataclass(frozen=True)
 class HookPoint:
-    """One kind of component.
+    """One kind of component: when and how it is called, and what a pipeline may say about it.
 
     Args:
         section: key in a pipeline.
@@ -60,6 +68,9 @@ class HookPoint:
         base: class that a component derives from.
         stage: index in `STAGES`; None for a kind that pipelines do not name.
         reads: data that a component receives, for `stereogs explain`.
+        method: the one whose answer the host uses; "" for priors, which components call, and for observers.
+        check: takes the answer and what the method received; returns the checked answer, or raises an
+            `ExplainedError`.
         holds: number of components in the section: one, a list, or either.
         required: True if a pipeline must have one.
         scheduled: True if it accepts `start`, `stop`, `every` and `phase`.
@@ -73,6 +84,8 @@ class HookPoint:
     base: type[Component[Any]]
     stage: int | None
     reads: str
+    method: str = ""
+    check: Callable[..., Any] = _accepted
     holds: Literal["one", "list", "one or list"] = "list"
     required: bool = False
     scheduled: bool = False
@@ -112,34 +125,41 @@ _in_loop = partial(HookPoint, scheduled=True)
 # fmt: off
 HOOK_POINTS: tuple[HookPoint, ...] = (
     HookPoint("scene", "scene loader", "scenes", c.SceneLoader, BEFORE,
-              "the files that it names", holds="one", required=True),
+              "the files that it names", "load", validate, holds="one", required=True),
     HookPoint("initializer", "initializer", "initializers", c.Initializer, BEFORE,
-              "training views, their points, bounds; priors", holds="one", required=True, late=True),
+              "training views, their points, bounds; priors", "initialize", check_initialization,
+              holds="one", required=True, late=True),
     HookPoint("priors", "prior", "priors", Prior, BEFORE,
               "images and views that its callers pass"),
     _in_loop("samplers", "sampler", "samplers", c.Sampler, RENDER,
-             "the step and its sample: view, camera, target, background"),
+             "the step and its sample: view, camera, target, background", "sample", a.check_sample),
     _in_loop("appearances", "appearance", "appearances", c.Appearance, LOSS,
-             "the step, the render and its colours"),
+             "the step, the render and its colours", "colors", a.check_colors),
     _in_loop("regularizers", "regularizer", "regularizers", c.Regularizer, LOSS,
-             "the step, the render, other fields; may render more views", weighted=True),
+             "the step, the render, other fields; may render more views", "loss", a.check_loss,
+             weighted=True),
     _in_loop("modifiers", "modifier", "modifiers", c.Modifier, RENDER,
-             "the step: scene, sample, Gaussians, priors"),
+             "the step: scene, sample, Gaussians, priors", "opacity_scale", a.check_opacity_scale),
     _in_loop("densification", "densification", "densifications", c.Densification, BACKWARD,
-             "the step, the Gaussians and their gradients", holds="one or list", late=True),
+             "the step, the Gaussians and their gradients", "refine", a.check_edit,
+             holds="one or list", late=True),
     _in_loop("opacity", "opacity policy", "opacity_policies", c.OpacityPolicy, BACKWARD,
-             "the step, the Gaussians and their gradients", holds="one or list"),
+             "the step, the Gaussians and their gradients", "update", a.check_opacity_update,
+             holds="one or list"),
     _in_loop("perturbations", "perturbation", "perturbations", c.Perturbation, OPTIMIZER,
-             "the step, the Gaussians, learning rates"),
+             "the step, the Gaussians, learning rates", "offsets", a.check_offsets),
     HookPoint("metrics", "metric", "metrics", c.ViewMetric, AFTER,
-              "renders of test and training views, the scene with its true depth"),
-    HookPoint("exporters", "exporter", "exporters", c.Exporter, AFTER, "the Gaussians, the scene"),
-    HookPoint("reports", "report", "reports", c.Report, AFTER, "the run folder, the scene"),
+              "renders of test and training views, the scene with its true depth", "measure_view",
+              a.check_score),
+    HookPoint("exporters", "exporter", "exporters", c.Exporter, AFTER, "the Gaussians, the scene",
+              "export", a.check_files),
+    HookPoint("reports", "report", "reports", c.Report, AFTER, "the run folder, the scene", "write",
+              a.check_files),
     _in_loop("observers", "observer", "observers", c.Observer, DURING,
              "start and end, scores; of each iteration the losses, the render, the Gaussians"),
-    HookPoint("runner", "runner", "runners", Runner, None, "pipelines to train", holds="one"),
+    HookPoint("runner", "runner", "runners", Runner, None, "pipelines to train", "start", holds="one"),
     HookPoint("confidence", "confidence estimator", "confidence_estimators", ConfidenceEstimator, None,
-              "the Gaussians, the training views, a camera", holds="one"),
+              "the Gaussians, the training views, a camera", "estimate", holds="one"),
 )
 # fmt: on
 PIPELINE_POINTS = tuple(point for point in HOOK_POINTS if point.in_pipeline)

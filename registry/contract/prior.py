@@ -25,7 +25,7 @@ class Prior(Component[SettingsType], ABC):
     """
 
     capability: ClassVar[str]
-    """What it estimates."""
+    """Kind of estimate, such as "stereo_disparity"; components ask for it in `needs_priors`."""
 
     def fingerprint(self) -> str:
         """Return what estimates depend on besides settings and code: a model file's hash, a device.
@@ -44,19 +44,6 @@ class Prior(Component[SettingsType], ABC):
             models = inside if isinstance(own, dict | list | tuple) else [own]
             opened += [getattr(model, "sha256", None) for model in models]
         return " ".join([*hashes, *(digest for digest in opened if isinstance(digest, str))])
-
-    @classmethod
-    def settings_for(cls, model: Any) -> Sequence[Mapping[str, Any]]:
-        """Return candidate settings for an ONNX file, for `stereogs priors check`; the likeliest first.
-
-        Each includes the file and consists of plain values. Options that the graph's names and sizes do not
-        determine, such as the values of black and white, need a candidate for each possibility. Empty if
-        this prior cannot run the model.
-
-        Args:
-            model: a `registry.toolkit.networks.OnnxModel`.
-        """
-        return ()
 
     @classmethod
     def choose(cls, priors: Mapping[str, Prior[Any]], name: str | None) -> Self:
@@ -117,5 +104,7 @@ def chosen_prior(
 
 def usable_priors(capabilities: Mapping[str, str | None], wanted: Sequence[str]) -> list[str]:
     """Return the priors with the first capability of `wanted` that any prior has."""
-    by_capability = ([key for key, own in capabilities.items() if own == one] for one in wanted)
-    return next((names for names in by_capability if names), [])
+    for capability in wanted:
+        if able := [name for name, own in capabilities.items() if own == capability]:
+            return able
+    return []

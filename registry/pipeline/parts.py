@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from torch import Tensor
 
 from core_rasterizer import Device, Engine
 
-from ..calls.read_only_guard import NOTHING, ReadOnlyGuard, are_checked
+from ..calls.call import call, calling
+from ..calls.policy import Checks, in_loop, outside_loop, plugins_are_checked, within_another
+from ..calls.read_only_guard import NOTHING, ReadOnlyGuard
 from ..contract.checks.answers import check_carried, check_state
-from ..contract.checks.scene import validate
 from ..contract.component import Component, Context
 from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
 from ..contract.scene import Scene
 from ..errors import RunError
 from ..toolkit.progress.stages import progress
-from .blame import at_work
 from .pipeline import Item, Pipeline
-from .repeats import answer_of
 
 TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
 """The sections whose components take part in the training loop; each field has its own."""
-_LOOK_EVERY = 11
-"""Calls between two checks that take longer, see `Part.looks`; prime: a component's own cycle meets them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,34 +36,41 @@ class Part:
     item: Item
     component: Any
 
+    def call(
+        self,
+        *given: Any,
+        iteration: int | None = None,
+        checks: Checks | None = None,
+        guard: ReadOnlyGuard = NOTHING,
+        trained: Sequence[Tensor] = (),
+        again: tuple[Any, ...] | None = None,
+    ) -> Any:
+        """Call the method of the component's hook point, and return its checked answer.
+
+        Args:
+            given, guard, trained, again: see `registry.calls.call.call`.
+            iteration: of training; None outside the loop.
+            checks: besides those of every call; None: as the policy says for this iteration.
+        """
+        return call(
+            *(self.item, self.component, given, checks or self._checks(iteration)),
+            iteration=iteration,
+            guard=guard,
+            trained=trained,
+            again=again,
+        )
+
     def at_work(
-        self, iteration: int | None = None, lent: ReadOnlyGuard = NOTHING
+        self, iteration: int | None = None, guard: ReadOnlyGuard = NOTHING
     ) -> AbstractContextManager[None]:
-        """Return a context for calls into the component; see `registry.pipeline.blame.at_work`.
+        """Return a context for calls of the component's other methods; see `registry.calls.call.calling`."""
+        seed, checks = self.component.context.seed, self._checks(iteration)
+        return calling(self.item, seed, checks, iteration=iteration, guard=guard)
 
-        In its first call of the loop every bit of the data is compared; for other calls see `looks`.
-        """
-        number, seed = iteration or 0, self.component.context.seed
-        look, first = self.looks(number), self._call(number) == 0
-        return at_work(self.item, seed, iteration, lent, look=look, every_bit=first)
-
-    def looks(self, iteration: int) -> bool:
-        """Whether to make checks that take longer: in the first call, every eleventh, or if checked."""
-        return self._call(iteration) % _LOOK_EVERY == 0 or are_checked()
-
-    def answer(self, method: str, step: Any, *given: Any) -> Any:
-        """Return the component's answer to a call of the training loop.
-
-        A copy is asked too in the second call; if checked, also in the first and in every eleventh.
-        """
-        number = self._call(step.iteration)
-        twice = number == 1 or (are_checked() and number % _LOOK_EVERY == 0)
-        return answer_of(self.component, method, (step, *given), twice=twice)
-
-    def _call(self, iteration: int) -> int:
-        """Return the number of the call by the schedule; 0: the first, or before it."""
-        schedule = self.item.schedule
-        return max(0, iteration - schedule.start) // schedule.every
+    def _checks(self, iteration: int | None) -> Checks:
+        return (
+            outside_loop() if iteration is None else in_loop(self.item.schedule.number(iteration))
+        )
 
 
 class Parts:
@@ -164,7 +167,7 @@ class Parts:
         """
         for part in self:
             with part.at_work(iteration):
-                before = check_state(part.component.state()) if are_checked() else None
+                before = check_state(part.component.state()) if plugins_are_checked() else None
                 part.component.carry(source, fresh)
                 if before is not None:
                     check_carried(before, part.component.state(), count, len(source))
@@ -216,8 +219,12 @@ def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0
     name = f"{item.qualified_name}/{field}" if field else item.qualified_name
     own_seed = derived_seed(seed, name)
     device = device if isinstance(device, Device) else device.device
-    context = Context(item.name, own_seed, device, partial(at_work, item, own_seed))
-    with context.at_work():
+
+    def at_work() -> AbstractContextManager[None]:
+        return calling(item, own_seed, within_another())
+
+    context = Context(item.name, own_seed, device, at_work)
+    with at_work():
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)
 
@@ -225,8 +232,8 @@ def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0
 def load_scene(loader: Part) -> Scene:
     """Load a scene and validate it; raises an ExplainedError if the loader fails or it is not valid."""
     progress("reading")
-    with loader.at_work():
-        return validate(loader.component.load())
+    scene: Scene = loader.call()
+    return scene
 
 
 def derived_seed(seed: int, name: str) -> int:

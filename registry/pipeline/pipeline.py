@@ -12,6 +12,7 @@ from core_rasterizer.errors import ExplainedError
 
 from ..contract.component import Settings
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
+from ..contract.prior import Prior
 from ..discovery import Offer, Plugins
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
@@ -58,6 +59,22 @@ class Item:
     def qualified_name(self) -> str:
         """Unique in the pipeline, for example "regularizers.stereo_depth"."""
         return f"{self.point.section}.{self.name}"
+
+    def __str__(self) -> str:
+        return f"{self.offer} at {self.place}"
+
+    @property
+    def kind(self) -> str:
+        """Title and name for messages, for example "metric 'psnr'"."""
+        return f"{self.point.title} {self.offer.name!r}"
+
+    @property
+    def advice(self) -> str:
+        """How a user can work around it if it fails."""
+        report = f"report it to the authors of {self.offer.distribution}"
+        if self.point.required or issubclass(self.point.base, Prior):
+            return f"{report}, or put another {self.point.title} in its place"
+        return f"{report}, or switch it off with `--disable {self.offer.name}`"
 
 
 @dataclass(frozen=True)
@@ -169,7 +186,7 @@ def load_pipeline(
         PipelineError: the file or a change is wrong; with the line.
         PluginError: a component that it names cannot be loaded.
     """
-    return build_pipeline(read(find_pipeline(path)), plugins, overrides, disabled, needed)
+    return checked_pipeline(read(find_pipeline(path)), plugins, overrides, disabled, needed)
 
 
 def parse_pipeline(
@@ -181,10 +198,10 @@ def parse_pipeline(
     disabled: Sequence[str] = (),
 ) -> Pipeline:
     """`load_pipeline` for YAML text; `source` stands for the file name in errors."""
-    return build_pipeline(parse(text, source), plugins, overrides, disabled)
+    return checked_pipeline(parse(text, source), plugins, overrides, disabled)
 
 
-def build_pipeline(
+def checked_pipeline(
     root: Node,
     plugins: Plugins,
     overrides: Sequence[str] = (),

@@ -62,6 +62,10 @@ class Schedule(Settings):
         last = iterations if self.stop is None else min(iterations, self.stop)
         return range(first, last + 1, self.every)
 
+    def number(self, iteration: int) -> int:
+        """Return how many calls come before that of an iteration: 0 for the first, or before it."""
+        return max(0, iteration - self.start) // self.every
+
     def over(self, iteration: int) -> bool:
         """Return whether neither this iteration nor a later one is due."""
         return self.stop is not None and iteration > self.stop

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from ..contract.component import Settings
 from ..messages.suggestions import did_you_mean, listing
 from .yaml_source import Node, Place
 
+_log = logging.getLogger("stereogs.pipeline")
 Model = TypeVar("Model", bound=Settings)
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^}]*)(\}?)")
 _MESSAGES = {
@@ -25,7 +27,9 @@ _MESSAGES = {
 }
 
 
-def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[str] = ()) -> Model:
+def validate_settings(
+    model: type[Model], node: Node, path: str, host_names: Sequence[str] = ()
+) -> Model:
     """Build a settings model from a mapping.
 
     Types are strict: "3" is not a number, 3.0 is not a whole number, `yes` is not true.
@@ -33,12 +37,14 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     Args:
         node: the mapping; `${NAME}` in its texts is replaced by the environment variable.
         path: the mapping's place in the pipeline, for messages, for example "scene".
-        lent: further names that the section may contain, which the host reads.
+        host_names: further names that the section may contain, which the host reads.
 
     Raises:
         PipelineError: unknown names (with the nearest known one), wrong types or values, an
-            environment variable that is not set. Reports all mistakes of the mapping.
+            environment variable that is not set. Reports all mistakes of the mapping. Also a setting under
+            its former and its present name, and a removed setting with another value than the code has.
     """
+    node = _up_to_date(model, node, path)
     # Through JSON, pydantic's strict types still take a list as a tuple and text as a path.
     text = json.dumps(plain(node))
     try:
@@ -46,12 +52,45 @@ def validate_settings(model: type[Model], node: Node, path: str, lent: Sequence[
     except pydantic.ValidationError as error:
         # A missing setting is often a misspelt one: report the misspelt name first.
         found = sorted(error.errors(), key=lambda problem: problem["type"] == "missing")
-    problems = list(dict.fromkeys(_explain(one, model, node, path, lent) for one in found))
+    problems = list(
+        dict.fromkeys(_explain(problem, model, node, path, host_names) for problem in found)
+    )
     place, what, _ = problems[0]
     if len(problems) > 1:
         lines = [f"  {place}: {message}" for place, message, _ in problems]
         what = "\n".join([f"{len(problems)} settings are wrong:", *lines])
     raise place.error(what, fix="\n".join(dict.fromkeys(fix for _, _, fix in problems)))
+
+
+def _up_to_date(model: type[Settings], node: Node, path: str) -> Node:
+    """Return settings under their present names and without removed ones, also in nested settings."""
+    if not isinstance(node.content, dict):
+        return node
+    current: dict[str, Node] = {}
+    for key, child in node.content.items():
+        if key in model.removed:
+            _check_removed(model.removed[key], child, f"{path}.{key}")
+            continue
+        name = model.renamed.get(key, key)
+        if name != key:
+            if name in node.content:
+                what = (
+                    f"{path} has {key!r} and {name!r}, the former and the present name of a setting"
+                )
+                raise child.place.error(what, fix=f"remove {key!r}")
+            _log.warning("%s: the setting %s.%s is now called %s", child.place, path, key, name)
+        field = model.model_fields.get(name)
+        nested = _settings_in(field.annotation) if field else None
+        current[name] = _up_to_date(nested, child, f"{path}.{name}") if nested else child
+    return Node(current, node.place)
+
+
+def _check_removed(value: object, written: Node, path: str) -> None:
+    if plain(written) != value:
+        raise written.place.error(
+            f"the setting {path} was removed; its value is always {value!r}, not {written.kind}",
+            fix=f"remove {path.rpartition('.')[2]!r}",
+        )
 
 
 def plain(node: Node) -> Any:
@@ -98,14 +137,14 @@ def _expand_variables(text: str, place: Place) -> str:
 
 
 def _explain(
-    problem: Any, model: type[Settings], node: Node, path: str, lent: Sequence[str]
+    problem: Any, model: type[Settings], node: Node, path: str, host_names: Sequence[str]
 ) -> tuple[Place, str, str]:
     """Return place, message and fix of one of pydantic's errors."""
     location: tuple[str | int, ...] = problem["loc"]
     kind, written = problem["type"], node.at(location)
     # A value of a nested model, such as `training.learning_rates: 3`, is not a field of that model.
     fields = _model_at(model, location[:-1]).model_fields
-    names = [*fields, *(lent if len(location) <= 1 else ())]
+    names = [*fields, *(host_names if len(location) <= 1 else ())]
     where = ".".join([path, *map(str, location)])
     section = ".".join([path, *map(str, location[:-1])])
     if kind == "extra_forbidden":

@@ -114,7 +114,9 @@ class MultiViewDepthPrior(Prior[SettingsType]):
             if len(answers) != len(views):
                 raise PluginError(f"{len(answers)} depth maps came for {len(views)} views")
             maps = [_checked_depth(a, view.image) for a, view in zip(answers, views, strict=True)]
-            return {f"{i}/{name}": x for i, one in enumerate(maps) for name, x in vars(one).items()}
+            return {
+                f"{i}/{name}": x for i, found in enumerate(maps) for name, x in vars(found).items()
+            }
 
 
 class StereoPrior(Prior[SettingsType]):

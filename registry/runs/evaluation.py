@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from core_rasterizer import Camera, ExplainedError, GaussianReader, Model, Rendering
 
 from ..calls.copies import copied
-from ..calls.read_only_guard import are_checked
-from ..contract.checks.answers import check_score
+from ..calls.policy import scoring
 from ..contract.components import AverageErrorRole, Unavailable
 from ..contract.scene import Scene, View
 from ..pipeline.parts import Part
 from ..pipeline.pipeline import Item
-from ..pipeline.repeats import answer_of
 from ..toolkit.drawing.pictures import save_view_pictures
 
 Floats = NDArray[np.float32]
@@ -104,12 +102,10 @@ def evaluate(
         for part in metrics:
             name = part.item.name
             try:
-                with part.at_work():
-                    given, again = (copied((rendering, view, scene)) for _ in range(2))
-                    metric = part.component
-                    twice = are_checked() or (repeat and not (scores.views or metric.takes_long))
-                    answer = answer_of(metric, "measure_view", given, twice=twice, again=again)
-                    score = check_score(answer)
+                given, again = (copied((rendering, view, scene)) for _ in range(2))
+                first = repeat and not scores.views
+                checks = scoring(first=first, takes_long=part.component.takes_long)
+                score = part.call(*given, checks=checks, again=again)
             except ExplainedError as error:
                 scores.failures.setdefault(part.item.qualified_name, error)
                 score = Unavailable(error.what)

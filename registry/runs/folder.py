@@ -18,8 +18,11 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +36,9 @@ from .results import Amount, Record, Results, problem_of, read_results
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from ..contract.scene import Scene
+    from ..pipeline.pipeline import Pipeline
+
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
 INITIALIZATION = "initialization"
@@ -40,7 +46,25 @@ METRICS = "metrics.jsonl"
 INPUTS = "inputs.json"
 RESULTS = "results.json"
 
+ChooseFolder = Callable[["Pipeline", "Scene"], Path]
+"""Returns the run folder once the scene is loaded."""
 _log = logging.getLogger(__name__)
+
+
+def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
+    """Return `runs/<pipeline>-<scene>`, or with "-2", "-3", ... if that exists.
+
+    Characters that are unsafe in a file name become "-".
+    """
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{pipeline.name}-{scene.name}").strip("-.") or "run"
+    names = chain([plain], (f"{plain}-{number}" for number in count(2)))
+    return next(path for name in names if not (path := Path("runs", name)).exists())
+
+
+def refuse_occupied(out: Path | ChooseFolder | None) -> None:
+    """Refuse a run folder that is not vacant (`RunFolder.check_vacant`), before anything is loaded."""
+    if out is not None:
+        RunFolder.check_vacant(out if isinstance(out, Path) else Path("runs", "*"))
 
 
 class _Provenance(Record):
@@ -132,7 +156,7 @@ class RunFolder:
                 remove_leftovers(folder)
             yield
 
-    @property
+    @cached_property
     def identity(self) -> str:
         """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))

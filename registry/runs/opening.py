@@ -35,8 +35,9 @@ from ..training.checkpoint import (
 )
 from ..training.initial_model import new_model
 from .folder import RunFolder
-from .origin import compare_inputs, input_digests, with_packages
-from .run import SUMS, Run, Stages
+from .origin import input_digests, refuse_changed_inputs, with_packages
+from .run import Run
+from .trained_scene import Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]
 """Sections that may change before a run is resumed: no bit depends on them."""
@@ -45,7 +46,7 @@ FAILURES = "failures"
 _log = logging.getLogger(__name__)
 
 
-def open_run(
+def load_run(
     path: Path,
     *,
     plugins: Plugins,
@@ -93,10 +94,9 @@ def open_run(
     begin = monotonic()
     scene = load_scene(parts.one("scene")) if scene is None else validate(scene)
     loading = monotonic() - begin
-    changed: tuple[str, ...] = ()
     before, _ = folder.inputs()
-    if before is not None:
-        changed = compare_inputs(before, scene, pipeline, path, accept=accept_changed_inputs)
+    if before is not None and not accept_changed_inputs:
+        refuse_changed_inputs(before, scene, pipeline, path)
     facts = folder.initialization()
     with explain_misfit(place):
         gaussians = Gaussians(**checkpoint.part("model"))
@@ -111,10 +111,7 @@ def open_run(
         iteration=checkpoint.iteration,
         initialization=facts,
         seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
-        sums={name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()},
         folder=folder,
-        changed=changed,
-        identity=folder.identity,
         saved_iteration=checkpoint.iteration,
     )
 

@@ -3,72 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from core_rasterizer import Device, Engine, Gaussians
+    from core_rasterizer import Device, Engine
 
-    from ..contract.scene import PointCloud, Scene
-    from ..pipeline.parts import Parts
-    from ..pipeline.pipeline import Pipeline
+    from ..contract.scene import Scene
     from ..training.trainer import Iteration
     from .run import Run
 
 
-@dataclass(frozen=True, eq=False)
-class InitialState:
-    """State of a run before its first iteration.
-
-    Args:
-        pipeline: created the points.
-        parts: components of the pipeline.
-        scene: the training and test views.
-        points: output of the initializer.
-        gaussians: initial Gaussians, created from the points.
-        device: device or engine of the run.
-    """
-
-    pipeline: Pipeline
-    parts: Parts
-    scene: Scene
-    points: PointCloud
-    gaussians: Gaussians
-    device: Device | Engine
-
-    def of(self, pipeline: Pipeline) -> InitialState:
-        """Return the state that another pipeline starts from with the same points."""
-        from ..training.initial_model import initial_gaussians
-
-        return replace(
-            self,
-            pipeline=pipeline,
-            parts=self.parts.following(pipeline),
-            gaussians=initial_gaussians(self.points, pipeline.training),
-        )
-
-
-class Plan:
-    """Chooses the pipeline of a run while it runs. Training the last choice alone gives the same bits."""
-
-    def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
-        """Return the pipeline for the loaded scene; another pipeline loads the scene again."""
-        return pipeline
-
-    def fitted(self, initial: InitialState) -> Pipeline:
-        """Return the pipeline that trains, with the same scene, priors and initializer."""
-        return initial.pipeline
-
-    def corrected(self, run: Run) -> Pipeline | None:
-        """Return a pipeline to start training again with, or None; called after each iteration."""
-        return None
-
-
 @dataclass(frozen=True)
 class RunOptions:
-    """How a training runs. None of these changes the result, except `fit` and `scene`.
+    """How a training runs. None of these changes the result, except `scene`.
 
     Args:
         scene: trains on this scene instead of the one that the pipeline names. The run's pipeline then says
@@ -81,7 +31,6 @@ class RunOptions:
             calls (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
-        fit: chooses the size of photographs, the pipeline and its length; by default the given ones.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
         accept_changed_plugins: resumes even if the package of a component has another version or code.
     """
@@ -93,7 +42,6 @@ class RunOptions:
     device: Device | Engine | str | None = None
     check_plugins: bool = False
     hang_after: float | None = None
-    fit: Plan = field(default_factory=Plan)
     accept_changed_inputs: bool = False
     accept_changed_plugins: bool = False
 

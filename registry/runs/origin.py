@@ -88,22 +88,16 @@ def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[s
     return tuple(name for name in {**before, **now} if before.get(name) != now.get(name))
 
 
-def compare_inputs(
-    before: Mapping[str, str], scene: Scene, pipeline: Pipeline, where: Path, *, accept: bool
-) -> tuple[str, ...]:
-    """Return the names of inputs that changed since `input_digests` returned `before`.
-
-    Raises:
-        RunError: an input has changed, and `accept` is False.
-    """
-    changed = changed_inputs(before, input_digests(scene, pipeline))
-    if changed and not accept:
+def refuse_changed_inputs(
+    before: Mapping[str, str], scene: Scene, pipeline: Pipeline, where: Path
+) -> None:
+    """Raise a RunError if an input has changed since `input_digests` returned `before`."""
+    if changed := changed_inputs(before, input_digests(scene, pipeline)):
         raise RunError(
             f"the inputs of the run have changed: {listed(changed)}",
             where=str(where),
             fix="restore them, train again, or continue with --accept-changed-inputs",
         )
-    return changed
 
 
 def listed(names: tuple[str, ...]) -> str:

@@ -18,7 +18,8 @@ from ..system.files import jsonable
 from ..toolkit.progress.stages import STAGES, Stage, progress
 from ..training.trainer import Iteration, Trainer
 from .evaluation import Scores
-from .run import Run, Sums
+from .results import describe
+from .run import Run
 
 EVERY = 50
 """Iterations that share a line of metrics.jsonl."""
@@ -29,6 +30,9 @@ _GROWTH = 1.3
 _SMOOTHING = 0.05
 """Weight of the newest loss in the shown one: the losses of single views differ too much."""
 
+Sums = dict[str, tuple[float, int]]
+SUMS = "sums"
+"""Prefix of `MetricsLog.sums` in checkpoints."""
 _log = logging.getLogger(__name__)
 
 
@@ -68,16 +72,16 @@ class MetricsLog:
     """
 
     def __init__(self, write_line: Callable[[dict[str, Any]], None], sums: Sums) -> None:
-        self._write_line, self._sums = write_line, sums
+        self._write_line, self.sums = write_line, sums
 
     def add(self, done: Iteration, seconds: float, *, last: bool) -> None:
         """Add an iteration after `seconds` of training; write a line in every 50th and in the last."""
         for name, value in {"loss": done.loss, **done.logged}.items():
-            total, count = self._sums.get(name, (0.0, 0))
-            self._sums[name] = (total + value, count + 1)
+            total, count = self.sums.get(name, (0.0, 0))
+            self.sums[name] = (total + value, count + 1)
         if last or done.number % EVERY == 0:
-            means = {name: total / count for name, (total, count) in self._sums.items()}
-            self._sums.clear()
+            means = {name: total / count for name, (total, count) in self.sums.items()}
+            self.sums.clear()
             line = {"iteration": done.number, "seconds": round(seconds, 3)}
             self.write({**line, "gaussians": done.gaussians, **means})
 
@@ -122,7 +126,7 @@ class Observers:
         if not self._parts:
             return
         run, scene = self._run, self._run.scene.for_training()
-        facts = run.describe().plain()
+        facts = describe(run.pipeline, run.scene, run.model, run.iteration).plain()
         for part in self._parts:
             event = RunStarted(
                 title=run.folder.path.name if run.folder else run.pipeline.name,

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from core_rasterizer import ExplainedError
 
-from ..errors import PluginError, RunError
+from ..errors import RunError
 from ..messages.visible_text import visible
 from ..system.files import jsonable
 
@@ -200,18 +200,6 @@ def add_scores(results: Results, test: Scores, train: Scores) -> None:
     results.infinite = {"test": test.infinite, "train": train.infinite}
     failures = {**train.failures, **test.failures}
     results.failures = [Failure.of(name, error) for name, error in failures.items()]
-
-
-def existing_files(answer: Any) -> list[Path]:
-    """Return the answer of an exporter or a report if it is a list of paths of files that exist."""
-    if not isinstance(answer, list | tuple) or not all(isinstance(file, Path) for file in answer):
-        raise PluginError(f"the answer is {answer!r}, expected a list of paths")
-    if hidden := [file for file in answer if visible(file.name) != file.name]:
-        raise PluginError(f"it returned {str(hidden[0])!r}, which has control characters")
-    missing = [file for file in answer if not file.is_file()]
-    if missing:
-        raise PluginError(f"it returned {missing[0]}, but there is no such file")
-    return list(answer)
 
 
 def read_results(path: Path) -> dict[str, Any]:

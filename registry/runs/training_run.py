@@ -4,53 +4,38 @@ from __future__ import annotations
 
 import errno
 import logging
-import math
-import re
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
-from itertools import chain, count
 from pathlib import Path
 from time import monotonic
 
 import torch
-from rich.console import Console
 
-from ..calls.read_only_guard import are_checked, checked_plugins, of_scene
-from ..calls.watchdog import WATCHDOG
-from ..contract.checks.scene import check_maps, validate
-from ..contract.scene import Scene
 from ..discovery import Plugins
 from ..errors import RunError
-from ..pipeline.faults import faults, refuse_missing_priors
-from ..pipeline.parts import Parts, load_scene
+from ..pipeline.faults import refuse_missing_priors
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import answer_of
 from ..pipeline.training_settings import TrainingSettings
 from ..system.interrupt import stop_on_interrupt
-from ..toolkit.progress.display import showing
-from ..toolkit.progress.stages import STAGES, progress
+from ..toolkit.progress.stages import STAGES
 from ..training.assembly import assemble, restore
 from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
-from ..training.initial_model import initial_gaussians
-from ..training.trainer import Iteration, Trainer, one_torch_thread
+from ..training.trainer import Iteration, Trainer
 from .evaluation import evaluate, quick
-from .folder import RunFolder
-from .opening import keep_failure, open_run
-from .options import InitialState, RunOptions, find_device
+from .folder import ChooseFolder, RunFolder, refuse_occupied
+from .opening import keep_failure, load_run
+from .options import RunOptions, find_device
 from .origin import circumstances, refuse_changed_plugins
-from .progress import EVERY, MetricsLog, Observers, TrainingProgress, observed
-from .run import SUMS, Run, Stages
-from .scene_facts import summary, warnings
+from .outputs import finish, record_changed_inputs
+from .preparation import Prepared, load, prepare, running
+from .progress import EVERY, SUMS, MetricsLog, Observers, TrainingProgress, observed
+from .run import Run
+from .trained_scene import Stages
 
 AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
-
-QUICK = 0.1
-"""Longest initialization that is repeated if plugins are not checked, in seconds."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Disk errors; writing raises them without a file name."""
@@ -60,21 +45,10 @@ _NOT_RESUMED = ("scene", "initializer", "exporters", "reports", "observers")
 
 _log = logging.getLogger(__name__)
 
-ChooseFolder = Callable[[Pipeline, Scene], Path]
-"""Returns the run folder once the scene is loaded."""
 
-
-def in_runs(pipeline: Pipeline, scene: Scene) -> Path:
-    """Return `runs/<pipeline>-<scene>`, or with "-2", "-3", ... if that exists.
-
-    Characters that are unsafe in a file name become "-".
-    """
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{pipeline.name}-{scene.name}").strip("-.") or "run"
-    names = chain([plain], (f"{plain}-{number}" for number in count(2)))
-    return next(path for name in names if not (path := Path("runs", name)).exists())
-
-
-def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None) -> Run:
+def start_run(
+    pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
+) -> Run:
     """Train a pipeline. Nothing is written before the scene, the points and the Gaussians are valid.
 
     Args:
@@ -86,40 +60,40 @@ def start(pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | No
     Raises:
         ExplainedError: any failure.
     """
+    refuse_occupied(out)
+    with running(options) as active:
+        return train_prepared(prepare(load(pipeline, active), active), active, out)
+
+
+def train_prepared(
+    initial: Prepared, options: RunOptions, out: Path | ChooseFolder | None = None
+) -> Run:
+    """Train from the first iteration, within `running`; arguments and errors as for `start_run`."""
+    run, trainer, metrics = _new_run(initial)
+    writing = ""
     if out is not None:
-        RunFolder.check_vacant(out if isinstance(out, Path) else Path("runs", "*"))
-    refuse_missing_priors(pipeline)
-    console = options.console()
-    with _guarded(options, console):
-        initial, seconds = _initialized(pipeline, options, console)
-        while True:
-            run, trainer = _new_run(initial, seconds)
-            if out is not None:
-                out = out if isinstance(out, Path) else out(run.pipeline, run.scene)
-                run.keep_in(out)
-            STAGES.begin(None)
-            writing = f"; writing {out}" if out is not None else ""
-            console.print(f"{len(initial.points):,} points; {initial.device.name}{writing}")
-            with run.folder.locked() if run.folder else nullcontext():
-                corrected = _train_to_end(run, trainer, options, resumed=False)
-            if corrected is None:
-                return run
-            initial = initial.of(corrected)
-            if run.folder is not None:
-                shutil.rmtree(run.folder.path)
+        folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
+        run.keep_in(folder)
+        writing = f"; writing {folder}"
+    STAGES.begin(None)
+    device = initial.parts.device.name
+    options.console().print(f"{len(initial.points):,} points; {device}{writing}")
+    with run.folder.locked() if run.folder else nullcontext():
+        _train_to_end(run, trainer, metrics, options, resumed=False)
+    return run
 
 
-def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
+def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
     """Continue a run from its checkpoint, to the same end as if it had never stopped.
 
     Raises:
         ExplainedError: the folder is not a run, has no checkpoint or is used by another process, or any later
             failure.
     """
-    folder, console = RunFolder.existing(path), options.console()
-    with _guarded(options, console), folder.locked():
+    folder = RunFolder.existing(path)
+    with running(options) as active, folder.locked():
         device = find_device(options.device)
-        run = open_run(
+        run = load_run(
             path,
             plugins=plugins,
             device=device,
@@ -134,103 +108,52 @@ def resume(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         with explain_misfit(path / CHECKPOINT):
             trainer = restore(run.parts, run.scene, checkpoint)
         run.model = trainer.model
-        run.record_changes()
-        run.checkpoint = lambda: _checkpoint(run, trainer)
+        record_changed_inputs(run, folder)
+        sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
+        metrics = MetricsLog(run.add_metrics, sums)
+        run.checkpoint = lambda: _checkpoint(run, trainer, metrics)
         folder.forget_metrics_after(checkpoint.iteration)
         folder.note_resumption(
             {"after": checkpoint.iteration, **circumstances(run.pipeline, run.model.engine)}
         )
-        console.print(
+        active.console().print(
             f"continuing after iteration {checkpoint.iteration} of "
             f"{run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, options, resumed=True)
+        _train_to_end(run, trainer, metrics, active, resumed=True)
     return run
 
 
-@contextmanager
-def _guarded(options: RunOptions, console: Console) -> Iterator[None]:
-    """One torch thread, progress on the console, and the checks of plugins that the options select."""
-    with (
-        one_torch_thread(),
-        showing(console),
-        checked_plugins(options.check_plugins),
-        WATCHDOG.ending(options.hang_after),
-    ):
-        yield
-
-
-def _initialized(
-    pipeline: Pipeline, options: RunOptions, console: Console
-) -> tuple[InitialState, Stages]:
-    """Load the scene, create the first Gaussians, and choose the pipeline that trains them."""
-    device = find_device(options.device)
-    begin = monotonic()
-    parts = Parts(pipeline, device)
-    list(parts)  # constructs every component: find mistakes before the scene is loaded
-    scene = load_scene(parts.one("scene")) if options.scene is None else validate(options.scene)
-    resized = options.fit.resized(pipeline, scene)
-    if resized is not pipeline:
-        pipeline, parts = resized, parts.following(resized)
-        scene = load_scene(parts.one("scene"))
-    pipeline = pipeline.for_views(len(scene.train))
-    parts = parts.following(pipeline)
-    STAGES.begin(None)
-    console.print(summary(scene))
-    fallbacks = [
-        f"fallback: the prior {i.fallback}" for i in pipeline.items["priors"] if i.fallback
-    ]
-    for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
-        console.print(f"warning: {warning}")
-    had_scene = monotonic()
-    initializer, known = parts.one("initializer"), scene.for_training()
-    progress("depth" if initializer.component.needs_priors else "points")
-    with initializer.at_work(lent=of_scene(known)):
-        longest, given = math.inf if are_checked() else QUICK, (known, parts.priors)
-        points = answer_of(initializer.component, "initialize", given, twice=True, longest=longest)
-        check_maps(points.maps, known)
-        gaussians = initial_gaussians(points, pipeline.training)
-    seconds = Stages(had_scene - begin, monotonic() - had_scene)
-    initial = InitialState(pipeline, parts, scene, points, gaussians, device)
-    fitted = options.fit.fitted(initial)
-    if fitted is not pipeline:
-        refuse_missing_priors(fitted)
-        initial = initial.of(fitted)
-    return initial, seconds
-
-
-def _new_run(initial: InitialState, seconds: Stages) -> tuple[Run, Trainer]:
-    """Return a run before its first iteration, with its trainer."""
-    pipeline, parts, points = initial.pipeline, initial.parts, initial.points
-    trainer = assemble(parts, initial.scene, points, initial.gaussians)
+def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
+    """Return a run before its first iteration, with its trainer and the log of its metrics."""
+    pipeline, points = initial.pipeline, initial.points
+    trainer = assemble(initial.parts, initial.scene, points, initial.gaussians)
     fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
     facts = {
-        "initializer": parts.one("initializer").item.name,
+        "initializer": pipeline.one("initializer").name,
         "points": len(points),
-        "seconds": round(seconds.initialization, 3),
+        "seconds": round(initial.initialization, 3),
         **({"fallbacks": fallbacks} if fallbacks else {}),
     }
     run = Run(
         pipeline,
-        parts,
+        initial.parts,
         initial.scene,
         trainer.model,
-        checkpoint=lambda: _checkpoint(run, trainer),
+        checkpoint=lambda: _checkpoint(run, trainer, metrics),
         initialization={**facts, **points.facts, **facts},  # the host's values, in front
         pictures=dict(points.pictures),
-        seconds=replace(seconds),
+        seconds=Stages(initial.loading, initial.initialization),
     )
-    return run, trainer
+    metrics = MetricsLog(run.add_metrics, {})
+    return run, trainer, metrics
 
 
 def _train_to_end(
-    run: Run, trainer: Trainer, options: RunOptions, *, resumed: bool
-) -> Pipeline | None:
-    """Train, report progress, and write the results after the last iteration.
-
-    Returns the pipeline to start training again with if the plan corrects itself.
-    """
-    settings, metrics = run.pipeline.training, MetricsLog(run.add_metrics, run.sums)
+    run: Run, trainer: Trainer, metrics: MetricsLog, options: RunOptions, *, resumed: bool
+) -> None:
+    """Train, report progress, and write the results after the last iteration."""
+    settings = run.pipeline.training
     with _explaining_how_to_continue(run), observed(run, trainer, resumed=resumed) as observers:
         if options.on_begin is not None:
             options.on_begin(run)
@@ -249,9 +172,8 @@ def _train_to_end(
                     _score_test_views(run, metrics, observers)
                 stopped = options.callback is not None and options.callback(done) is False
                 if stop.requested or stopped:
+                    run.interrupted = stop.requested
                     break
-                if corrected := options.fit.corrected(run):
-                    return corrected
                 longest = max(AUTOSAVE_SECONDS, saving_took / AUTOSAVE_SHARE)
                 if _due(done.number, settings.checkpoint_every) or monotonic() - saved > longest:
                     begin = monotonic()
@@ -261,9 +183,8 @@ def _train_to_end(
                 begin = monotonic()
             run.save_checkpoint()
         if run.finished and run.folder is not None:
-            run.finish()
+            finish(run, run.folder)
             observers.evaluated(run.scores)
-    return None
 
 
 @contextmanager
@@ -320,10 +241,10 @@ def _iterations(run: Run, trainer: Trainer) -> Iterator[Iteration]:
         yield from trainer.run()
 
 
-def _checkpoint(run: Run, trainer: Trainer) -> Checkpoint:
+def _checkpoint(run: Run, trainer: Trainer, metrics: MetricsLog) -> Checkpoint:
     with _failures_kept(run, trainer):
         state = trainer.state()
-    for name, pair in run.sums.items():
+    for name, pair in metrics.sums.items():
         state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from ..calls.process_state import left_as_found, no_global_random_numbers, own_random_numbers
+from ..calls.repeats import digests
 from ..calls.watchdog import WATCHDOG
-from ..pipeline.repeats import digests
 
 _SEED = 0x5EED
 """No component is likely to seed a generator with this number; if one did, it would not be noticed."""
@@ -22,13 +21,6 @@ def require(holds: bool, message: str) -> None:
     """
     if not holds:
         raise AssertionError(message)
-
-
-def require_files(files: Any) -> None:
-    """Raise an AssertionError unless `files` is a list of existing files."""
-    require(isinstance(files, list), "the answer is not a list of the files written")
-    for file in files:
-        require(Path(file).is_file(), f"the file {file} was not written")
 
 
 @contextmanager

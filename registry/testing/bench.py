@@ -15,6 +15,8 @@ from torch import Tensor
 from core_rasterizer import Device, ExplainedError, GaussianReader, Model, photometric_loss
 
 from .. import priors as prior_bases
+from ..contract.component import Component
+from ..contract.hook_points import LOSS, RENDER
 from ..contract.prior import Prior
 from ..contract.scene import DepthMap, PointCloud, Scene
 from ..contract.step import OtherField, Step
@@ -23,7 +25,7 @@ from ..system.memory import memory_added
 from ..training.initial_model import initial_gaussians, new_model
 from ..training.step import step_renderer
 from .assertions import no_side_effects
-from .scenes import SMALL, Size, points_of, scene_of, step_of
+from .scenes import SMALL, Size, hook_point, points_of, scene_of, step_of
 
 _SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
 
@@ -81,6 +83,11 @@ class Bench:
             self.megabytes = max(self.megabytes or 0.0, added.megabytes)
         return answer
 
+    def answer(self, built: Component[Any], *given: Any) -> Any:
+        """Call the method of a component's hook point (see `call`), and return its checked answer."""
+        point = hook_point(type(built))
+        return point.check(self.call(getattr(built, point.method), *given), *given)
+
     @cached_property
     def scene(self) -> Scene:
         """Three views: two for training, one for testing."""
@@ -104,16 +111,24 @@ class Bench:
         hidden = torch.arange(len(self.points())) % 2 == 1
         return {"confirmed": ~hidden, "hidden": hidden}
 
+    def step(self, built: Component[Any]) -> Step:
+        """Return an iteration at the stage in which a component is called."""
+        stage = hook_point(type(built)).stage
+        if stage == RENDER:
+            return self.before_render()
+        return self.after_render() if stage == LOSS else self.after_backward(built)
+
     def before_render(self) -> Step:
         """Return an iteration before its render."""
         return self._step(self.model())
 
-    def after_render(self, *, absolute: bool = False) -> Step:
+    def after_render(self, built: object = None) -> Step:
         """Return an iteration after its render, with one other field.
 
         Args:
-            absolute: collect absolute screen gradients too.
+            built: the component that reads the gradients; says whether it needs absolute ones.
         """
+        absolute = bool(getattr(built, "absolute_gradients", False))
         model, other = self.model(), self.model()
         step = self._step(model)
         camera = step.sample.camera
@@ -124,9 +139,9 @@ class Bench:
         )
         return step
 
-    def after_backward(self, *, absolute: bool = False) -> Step:
+    def after_backward(self, built: object = None) -> Step:
         """Return an iteration after its backward pass; see `after_render`."""
-        step = self.after_render(absolute=absolute)
+        step = self.after_render(built)
         photometric_loss(step.rendering.rgb, step.sample.target, device=self.device).backward()
         return step
 

@@ -19,19 +19,10 @@ from core_rasterizer import GaussianReader, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 from registry.toolkit.cache.entries import FOLDER_VARIABLE
 
+from ..calls.repeats import digests
 from ..confidence import Trained
-from ..contract.checks.answers import (
-    check_colors,
-    check_edit,
-    check_loss,
-    check_moves,
-    check_offsets,
-    check_opacity_scale,
-    check_opacity_update,
-    check_sample,
-    check_score,
-)
-from ..contract.checks.scene import validate
+from ..contract.checks.answers import check_moves
+from ..contract.checks.scene import check_initialization
 from ..contract.components import Observer, Unavailable
 from ..contract.scene import View
 from ..contract.step import Step
@@ -46,26 +37,28 @@ from ..priors import (
     StereoPrior,
 )
 from ..runs.options import RunOptions
-from ..runs.training_run import start
+from ..runs.training_run import start_run
 from ..training.initial_model import initial_gaussians
-from .assertions import require, require_files
+from .assertions import require
 from .bench import Bench
-from .scenes import pipeline_of
+from .scenes import hook_point, pipeline_of
 
 _SHORT = TrainingSettings(iterations=3, sh_degree=1)
 _EVENTS = ("started", "iterated", "evaluated", "ended")
 
 
 def _scene(bench: Bench, built: Any) -> Any:
-    scene = validate(bench.call(built.load))
+    scene = bench.answer(built)
     return [(v.name, v.image, v.camera.world_to_camera) for v in (*scene.train, *scene.test)]
 
 
 def _initializer(bench: Bench, built: Any) -> Any:
-    points = bench.call(built.initialize, bench.scene.for_training(), bench.priors)
+    given = bench.scene.for_training(), bench.priors
+    points = bench.call(built.initialize, *given)
     if bench.size.degenerate and not len(points):
         return None  # the host reports it
-    return initial_gaussians(points, TrainingSettings(sh_degree=0))
+    checked = check_initialization(points, *given)
+    return initial_gaussians(checked, TrainingSettings(sh_degree=0))
 
 
 def _prior(bench: Bench, built: Any) -> Any:
@@ -86,25 +79,27 @@ def _prior(bench: Bench, built: Any) -> Any:
     return capability
 
 
+def _in_iteration(bench: Bench, built: Any) -> Any:
+    return digests(bench.answer(built, bench.step(built)))
+
+
 def _sampler(bench: Bench, built: Any) -> Any:
-    step = bench.before_render()
-    sample = check_sample(bench.call(built.sample, step, step.sample), step.model.count)
-    return [sample.view.name, sample.target, sample.background, sample.sh_degree, sample.smoothing]
+    step = bench.step(built)
+    return digests(bench.answer(built, step, step.sample))
 
 
 def _appearance(bench: Bench, built: Any) -> Any:
-    step = bench.after_render()
-    rgb = step.rendering.rgb
-    colors = check_colors(bench.call(built.colors, step, rgb), rgb.shape)
+    step = bench.step(built)
+    colors = bench.answer(built, step, step.rendering.rgb)
     require(colors.requires_grad, "the colours are cut off from autograd: nothing would be learnt")
     colors.mean().backward()
     return [colors, _gradients(step, built)]
 
 
 def _regularizer(bench: Bench, built: Any) -> Any:
-    step = bench.after_render()
+    step = bench.step(built)
     check_moves(built.moves, PARAMETER_GROUPS)
-    loss = check_loss(bench.call(built.loss, step))
+    loss = bench.answer(built, step)
     if loss.requires_grad:
         loss.backward()
     gradients = _gradients(step, built)
@@ -115,26 +110,6 @@ def _regularizer(bench: Bench, built: Any) -> Any:
             "Gaussians or the component's own parameters; was it computed outside autograd?",
         )
     return [loss, gradients]
-
-
-def _modifier(bench: Bench, built: Any) -> Any:
-    step = bench.before_render()
-    return check_opacity_scale(bench.call(built.opacity_scale, step), step.model.count).clone()
-
-
-def _densification(bench: Bench, built: Any) -> Any:
-    step = bench.after_backward(absolute=built.absolute_gradients)
-    return check_edit(bench.call(built.refine, step), step.model.count)
-
-
-def _opacity(bench: Bench, built: Any) -> Any:
-    step = bench.after_backward()
-    return check_opacity_update(bench.call(built.update, step), step.model.count)
-
-
-def _perturbation(bench: Bench, built: Any) -> Any:
-    step = bench.after_backward()
-    return dict(check_offsets(bench.call(built.offsets, step), step.model.read))
 
 
 def _gradients(step: Step, built: Any) -> list[Tensor]:
@@ -156,7 +131,7 @@ def _metric(bench: Bench, built: Any) -> Any:
         (_render_of(second, 1.5), first),
         (_render_of(second, 1.5), replace(first, mask=mask)),
     )
-    scores = [check_score(bench.call(built.measure_view, *case, bench.scene)) for case in cases]
+    scores = [bench.answer(built, *case, bench.scene) for case in cases]
     reasons = [score.reason for score in scores if isinstance(score, Unavailable)]
     numbers = [score for score in scores if not isinstance(score, Unavailable)]
     require(all(reasons), "a metric that is not available must say why")
@@ -181,8 +156,7 @@ def _render_of(view: View, depth_factor: float) -> Rendering:
 
 def _exporter(bench: Bench, built: Any) -> Any:
     with tempfile.TemporaryDirectory() as name:
-        files = bench.call(built.export, GaussianReader(bench.model()), bench.scene, Path(name))
-        require_files(files)
+        files = bench.answer(built, GaussianReader(bench.model()), bench.scene, Path(name))
         return [(file.name, file.read_bytes()) for file in sorted(files)]
 
 
@@ -192,9 +166,8 @@ def _report(bench: Bench, built: Any) -> Any:
         scene = replace(scene, test=())
     options = RunOptions(scene=scene, device=bench.device, progress=False)
     with tempfile.TemporaryDirectory() as name:
-        run = start(pipeline_of([], _SHORT), options, Path(name) / "run")
-        files = bench.call(built.write, run.folder_or_refuse().path, bench.scene)
-        require_files(files)
+        run = start_run(pipeline_of([], _SHORT), options, Path(name) / "run")
+        files = bench.answer(built, run.folder_or_refuse().path, bench.scene)
         return [file.name for file in sorted(files)]
 
 
@@ -206,7 +179,7 @@ def _confidence(bench: Bench, built: Any) -> Any:
 
     scene, reader = bench.scene, GaussianReader(bench.model())
     trained = Trained(reader, scene.for_training(), bench.maps(), bench.kinds(), unknown)
-    confidence, camera = bench.call(built.estimate, trained), scene.test[0].camera
+    confidence, camera = bench.answer(built, trained), scene.test[0].camera
     values, gain = bench.call(confidence.of, camera), bench.call(confidence.gain, camera)
     require(
         values.shape == (camera.height, camera.width)
@@ -263,21 +236,23 @@ def _events(bench: Bench, folder: Path) -> Iterator[Any]:
     yield RunEnded(step.iteration, succeeds, results, error)
 
 
-CALLS: dict[str, Callable[[Bench, Any], Any]] = {
+_CALLS: dict[str, Callable[[Bench, Any], Any]] = {
     "scene": _scene,
     "initializer": _initializer,
     "priors": _prior,
     "samplers": _sampler,
     "appearances": _appearance,
     "regularizers": _regularizer,
-    "modifiers": _modifier,
-    "densification": _densification,
-    "opacity": _opacity,
-    "perturbations": _perturbation,
     "metrics": _metric,
     "exporters": _exporter,
     "reports": _report,
     "observers": _observer,
     "confidence": _confidence,
 }
-"""How to call a built component, by section of the pipeline; returns what must be reproducible."""
+"""How to call a component, by section, where it receives more than the step, or more than its answer is
+checked."""
+
+
+def call_as_host(bench: Bench, built: Any) -> Any:
+    """Call a built component as the host does; return what must be reproducible."""
+    return _CALLS.get(hook_point(type(built)).section, _in_iteration)(bench, built)

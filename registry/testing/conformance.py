@@ -11,18 +11,18 @@ from typing import Any
 
 from core_rasterizer import Device, open_device
 
+from ..calls.repeats import digests, first_difference
 from ..contract.checks.answers import check_state
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..discovery import GROUP, Plugins, check_offer
 from ..pipeline.parts import TRAINING_SECTIONS
-from ..pipeline.repeats import digests, first_difference
 from ..pipeline.settings_check import escape_variables, validate_settings
 from ..pipeline.yaml_source import parse, to_yaml
 from ..training.gradients import check_groups
 from .assertions import require
 from .bench import Bench, Refused
-from .component_calls import CALLS
+from .component_calls import call_as_host
 from .processes import in_other_processes
 from .scenes import EMPTY, PIXEL, REAL, SMALL, UNDER_TEST, hook_point
 from .training_runs import observe_and_resume, train_and_resume
@@ -150,7 +150,7 @@ def _call(
 ) -> tuple[Component[Any], Any]:
     """Build a component and call it; return both it and its answer."""
     built = _built(component, settings, bench)
-    return built, CALLS[hook_point(component).section](bench, built)
+    return built, call_as_host(bench, built)
 
 
 def _built(component: type[Component[Any]], settings: Settings, bench: Bench) -> Component[Any]:

@@ -11,14 +11,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..calls.repeats import first_difference
 from ..contract.component import Component, Settings
 from ..discovery import Plugins
 from ..pipeline.parts import Parts
 from ..pipeline.pipeline import Pipeline
-from ..pipeline.repeats import first_difference
 from ..pipeline.training_settings import TrainingSettings
 from ..runs.options import RunOptions
-from ..runs.training_run import resume, start
+from ..runs.training_run import continue_run, start_run
 from ..training.assembly import restore
 from ..training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..training.trainer import Trainer
@@ -169,12 +169,12 @@ def observe_and_resume(component: type[Component[Any]], settings: Settings, benc
     """
     pipeline = pipeline_of([pipeline_item(component, settings, UNDER_TEST)], _OBSERVED)
     options = RunOptions(scene=bench.scene, device=bench.device, progress=False)
-    expected = start(pipeline_of([], _OBSERVED), options)
+    expected = start_run(pipeline_of([], _OBSERVED), options)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "run"
         half = _OBSERVED.iterations // 2
-        start(pipeline, replace(options, callback=lambda done: done.number < half), folder)
-        run = resume(folder, options, _PipelinePlugins(pipeline))
+        start_run(pipeline, replace(options, callback=lambda done: done.number < half), folder)
+        run = continue_run(folder, options, _PipelinePlugins(pipeline))
     require(run.hash == expected.hash, "the run with the observer ends in other bits than without")
 
 

@@ -19,11 +19,10 @@ def assemble(
     Args:
         parts: components of the pipeline; their device trains.
         scene: validated.
-        points: output of the initializer.
+        points: output of the initializer, checked (`check_initialization`).
         gaussians: made from the points (`initial_gaussians`); None makes them.
 
     Raises:
-        SceneError: the points are empty or out of range.
         GaussianError: a parameter is not finite.
     """
     settings = parts.pipeline.training

@@ -20,31 +20,31 @@ from torch import Tensor
 from core_rasterizer import Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
-from ..calls.read_only_guard import ReadOnlyGuard, of_kinds, of_maps, of_rendering, of_scene
-from ..contract.checks.answers import (
-    check_colors,
-    check_edit,
-    check_moves,
-    check_offsets,
-    check_opacity_scale,
-    check_opacity_update,
-    check_sample,
+from ..calls.blame import blame
+from ..calls.policy import RENDER_GRADIENT_EVERY
+from ..calls.read_only_guard import (
+    NOTHING,
+    ReadOnlyGuard,
+    of_kinds,
+    of_maps,
+    of_rendering,
+    of_scene,
 )
+from ..contract.checks.answers import check_moves
+from ..contract.components import OpacityUpdate
 from ..contract.scene import DepthMap, TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
 from ..errors import PluginError, RunError
 from ..events import IterationDone
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts, derived_seed
 from ..pipeline.pipeline import Item
 from ..pipeline.schedule import active_sh_degree
 from ..pipeline.training_settings import TrainingSettings
 from .gradients import (
     ComponentParameters,
+    Term,
     backward,
-    check_path,
     photometric_term,
-    regularizing_term,
     without_gradient,
     zero_gradients,
 )
@@ -57,8 +57,6 @@ OPACITY_MARGIN = 1e-6
 HOST_NUMBERS = frozenset(("iteration", "seconds", "gaussians", "loss", "photometric", "test"))
 """Names in metrics.jsonl that components must not log; nor may they log names of loss terms."""
 
-LOOK_EVERY = 50
-"""Iterations between two checks that the render has a gradient."""
 _log = logging.getLogger(__name__)
 
 
@@ -78,10 +76,10 @@ class Field:
         prefix: of its state and of its logged numbers, empty for field 0.
         kinds: which Gaussians descend from points of a kind, `[N]` bool by its name.
         logged: numbers logged in this iteration, by name.
-        lent: data that components receive in this iteration.
+        guard: data that components receive in this iteration, and may only read.
     """
 
-    lent: ReadOnlyGuard
+    guard: ReadOnlyGuard
     _step: Step
     _rendering: Rendering
 
@@ -103,7 +101,7 @@ class Field:
         self._settings, self._scene, self._maps = settings, scene, maps
         self._inputs = of_scene(scene) + of_maps(maps)
         for part in parts.training:
-            with part.at_work(lent=self._inputs):
+            with part.at_work(guard=self._inputs):
                 part.component.begin_training(scene)
         self.parameters = ComponentParameters(parts)
         self._trained = [model.anchor, *self.parameters.tensors]
@@ -120,7 +118,7 @@ class Field:
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
         sample = Sample(view, view.camera, view.image, scene.background, degree)
-        self.lent = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
+        self.guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -136,9 +134,7 @@ class Field:
             kinds=MappingProxyType(self.kinds),
         )
         for part in self.parts.due("samplers", iteration):
-            with part.at_work(iteration, self.lent):
-                answer = part.answer("sample", self._step, self._step.sample)
-                sample = check_sample(answer, self.model.count)
+            sample = self.call(part, self._step.sample)
             render = step_renderer(self.model, sample)
             self._step = replace(self._step, sample=sample, render=render)
         # Adam steps the SH bands in use, and one that fades in.
@@ -150,11 +146,11 @@ class Field:
         for part in self._regularizers("alone"):
             zero_gradients(self.model, self.parameters)
             step.rendered(cache(lambda: step.render(step.sample.camera)))
-            with part.at_work(step.iteration, self.lent):
+            with part.at_work(step.iteration, self.guard):
                 moves = check_moves(part.component.moves, PARAMETER_GROUPS)
-            term = regularizing_term(part, step, self.lent, self.logged, self._trained)
+            term = self._term(part)
             if term.value.requires_grad:  # a term of zero may have none
-                backward([term], step.iteration, self.model, self.parameters, self.lent)
+                backward([term], step.iteration, self.model, self.parameters, self.guard)
                 moved = PARAMETER_GROUPS if moves is None else moves
                 fixed = tuple(name for name in PARAMETER_GROUPS if name not in moved)
                 self.optimizer.step(step.learning_rates, self._bands, skip=fixed)
@@ -167,8 +163,7 @@ class Field:
         zero_gradients(self.model, self.parameters)
         scale: Tensor | None = None
         for part in self.parts.due("modifiers", step.iteration):
-            with part.at_work(step.iteration, self.lent):
-                factor = check_opacity_scale(part.answer("opacity_scale", step), self.model.count)
+            factor: Tensor = self.call(part)
             scale = factor if scale is None else scale * factor
         growing = [  # now or in a later iteration
             part.component
@@ -185,7 +180,7 @@ class Field:
             collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
         self._changed_images = self._rendering.watch()
-        self.lent += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
+        self.guard += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
         step.rendered(lambda: self._rendering)
 
     def differentiate(self, fields: Sequence[Field]) -> float:
@@ -206,16 +201,13 @@ class Field:
         colors: list[tuple[Item, Tensor]] = []
         for part in self.parts.due("appearances", step.iteration):
             before = shown if colors else shown.rgb
-            with part.at_work(step.iteration, self.lent + ReadOnlyGuard({"the colours": before})):
-                shown = check_colors(part.answer("colors", step, before), before.shape)
-                if part.looks(step.iteration):
-                    check_path("the image", shown, [self.model.anchor])
+            guard = ReadOnlyGuard({"the colours": before})
+            shown = self.call(part, before, guard=guard, trained=[self.model.anchor])
             colors.append((part.item, before))
         photometric = photometric_term(self._settings, shown, step, self.model)
         self.logged["photometric"] = float(photometric.value.detach())
         terms = [photometric]
-        for part in self._regularizers("together"):
-            terms.append(regularizing_term(part, step, self.lent, self.logged, self._trained))
+        terms += map(self._term, self._regularizers("together"))
         for name in self._changed_images():
             due = [*self.parts.due("appearances", step.iteration), *self._regularizers("together")]
             raise PluginError(
@@ -223,8 +215,8 @@ class Field:
                 where=f"one of {', '.join(part.item.qualified_name for part in due)}",
                 fix="train again with --check-plugins, which names the component",
             )
-        loss = backward(terms, step.iteration, self.model, self.parameters, self.lent, colors)
-        if step.iteration % LOOK_EVERY == 1 and not self._no_gradient:
+        loss = backward(terms, step.iteration, self.model, self.parameters, self.guard, colors)
+        if step.iteration % RENDER_GRADIENT_EVERY == 1 and not self._no_gradient:
             self._no_gradient = without_gradient(self.model, self._rendering)
             if self._no_gradient:
                 where = f"iteration {step.iteration}, view {step.view.name}"
@@ -235,9 +227,7 @@ class Field:
         """Apply the opacity policies, in the order of the pipeline."""
         self._reset = False
         for part in self.parts.due("opacity", self._step.iteration):
-            with part.at_work(self._step.iteration, self.lent):
-                answer = part.answer("update", self._step)
-                update = check_opacity_update(answer, self.model.count)
+            update: OpacityUpdate | None = self.call(part)
             if update is not None:
                 kept = update.opacities.float().clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
                 self.model.write("opacity_logits", torch.logit(kept))
@@ -249,8 +239,7 @@ class Field:
         iteration = self._step.iteration
         for part in self.parts.due("densification", iteration):
             count = self.model.count
-            with part.at_work(iteration, self.lent):
-                wanted = check_edit(part.answer("refine", self._step), count)
+            wanted: Edit | None = self.call(part)
             if wanted is None:
                 continue
             edit = self._within_limits(wanted)
@@ -280,8 +269,7 @@ class Field:
     def perturb(self) -> None:
         """Add the offsets of perturbations to the parameters."""
         for part in self.parts.due("perturbations", self._step.iteration):
-            with part.at_work(self._step.iteration, self.lent):
-                offsets = check_offsets(part.answer("offsets", self._step), self.model.read)
+            offsets: Mapping[str, Tensor] = self.call(part)
             with blame(part.item, self._step.iteration):
                 for name, offset in offsets.items():
                     self.model.write(name, self.model.read(name) + offset)
@@ -305,6 +293,29 @@ class Field:
             rendering=self._rendering.detach(),
             model=self._reader,
         )
+
+    def call(
+        self,
+        part: Part,
+        *given: Any,
+        guard: ReadOnlyGuard = NOTHING,
+        trained: Sequence[Tensor] = (),
+    ) -> Any:
+        """Call a component with the step, and return its checked answer.
+
+        Args:
+            given: arguments besides the step.
+            guard: data that it receives besides that of all components.
+            trained: leaves; a gradient of the answer must reach one of them.
+        """
+        step, guard = self._step, self.guard + guard
+        return part.call(step, *given, iteration=step.iteration, guard=guard, trained=trained)
+
+    def _term(self, part: Part) -> Term:
+        """Return the term of a regularizer times its weight, and log it without the weight."""
+        term: Tensor = self.call(part, trained=self._trained)
+        self.logged[part.item.qualified_name] = float(term.detach())
+        return Term(part.item, part.item.host.weight * term)
 
     def _regularizers(self, step: str) -> Iterator[Part]:
         """Yield those that are due and stepped "alone" or "together"."""

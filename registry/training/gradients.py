@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,13 +19,13 @@ from torch import Tensor
 from core_rasterizer import ExplainedError, Model, Rendering
 from core_rasterizer.gaussians import undefined_places
 
-from ..calls.read_only_guard import ReadOnlyGuard, are_checked
+from ..calls.blame import blame
+from ..calls.policy import plugins_are_checked
+from ..calls.read_only_guard import ReadOnlyGuard
 from ..calls.watchdog import Hang
-from ..contract.checks.answers import check_loss
 from ..contract.component import ParameterGroup
 from ..contract.step import Step
 from ..errors import PluginError, RunError
-from ..pipeline.blame import blame
 from ..pipeline.parts import Part, Parts
 from ..pipeline.pipeline import Item
 from ..pipeline.training_settings import TrainingSettings
@@ -72,26 +71,6 @@ def photometric_term(
     return Term(None, loss)
 
 
-def regularizing_term(
-    part: Part,
-    step: Step,
-    lent: ReadOnlyGuard,
-    logged: dict[str, float],
-    trained: Sequence[Tensor],
-) -> Term:
-    """Return the term of a regularizer times its weight, and log it without the weight.
-
-    Args:
-        trained: leaves; a gradient of the term must reach one of them.
-    """
-    with part.at_work(step.iteration, lent):
-        term = check_loss(part.answer("loss", step))
-        if term.requires_grad and part.looks(step.iteration):
-            check_path("the loss", term, trained)
-    logged[part.item.qualified_name] = float(term.detach())
-    return Term(part.item, part.item.host.weight * term)
-
-
 def without_gradient(model: Model, rendering: Rendering) -> str | None:
     """Return the likely cause and a remedy if almost no visible Gaussian's colour has a gradient, else None.
 
@@ -120,7 +99,7 @@ def backward(
     iteration: int,
     model: Model,
     parameters: ComponentParameters,
-    lent: ReadOnlyGuard,
+    guard: ReadOnlyGuard,
     colors: Sequence[tuple[Item, Tensor]] = (),
 ) -> float:
     """Run the backward pass, and return the loss.
@@ -128,7 +107,7 @@ def backward(
     Args:
         terms: terms of the loss, in order of summation.
         model, parameters: receive the gradients.
-        lent: data that hooks of components must not write into.
+        guard: data that hooks of components must not write into.
         colors: each appearance, in order, with its input.
 
     Raises:
@@ -139,11 +118,11 @@ def backward(
     total = float(loss.detach())
     if not math.isfinite(total):
         _refuse_loss(terms, iteration)
-    kept = replace(lent, models=())
+    kept = replace(guard, models=())
     with in_iteration(iteration):
         parameters.check_untouched(iteration)
         try:
-            with kept.kept(every_bit=are_checked()):
+            with kept.kept(every_bit=plugins_are_checked()):
                 loss.backward(retain_graph=True)
             parameters.check_gradients(iteration)
         except (KeyboardInterrupt, Hang):
@@ -199,7 +178,7 @@ def _differentiate_each(
             continue
         zero_gradients(model, parameters)
         for item, before in reversed(colors) if term.item is None else ():
-            with blame(item, iteration), kept.kept(every_bit=are_checked()):
+            with blame(item, iteration), kept.kept(every_bit=plugins_are_checked()):
                 (gradient,) = torch.autograd.grad(
                     term.value, before, retain_graph=True, allow_unused=True
                 )
@@ -207,7 +186,7 @@ def _differentiate_each(
                 check_finite(gradient, what, "pixel and channel")
         with (
             nullcontext() if term.item is None else blame(term.item, iteration),
-            kept.kept(every_bit=are_checked()),
+            kept.kept(every_bit=plugins_are_checked()),
         ):
             term.value.backward(retain_graph=True)
             parameters.check_gradients(iteration)
@@ -292,25 +271,6 @@ class ComponentParameters:
             for group in groups:
                 for index, tensor in enumerate(group.tensors):
                     yield f"{part.item.qualified_name}/{group.name}/{index}", tensor, optimizer
-
-
-def check_path(what: str, value: Tensor, leaves: Sequence[Tensor]) -> None:
-    """Refuse a value from which no gradient reaches any of the leaves; `what` names it in the message."""
-    wanted = {id(leaf) for leaf in leaves}
-    pending, seen = [value.grad_fn], set[Any]()
-    found = id(value) in wanted
-    while pending and not found:
-        node = pending.pop()
-        if node is not None and node not in seen:
-            seen.add(node)
-            found = id(getattr(node, "variable", None)) in wanted
-            pending += [following for following, _ in node.next_functions]
-    if not found:
-        raise PluginError(
-            f"{what} has no gradient path to what is trained: it would change nothing",
-            fix="compute it with torch from step.rendering, step.render(...) or step.parameter(...); "
-            "numpy, float(...), .detach() and torch.no_grad() cut gradients off",
-        )
 
 
 def check_finite(gradient: Tensor | None, what: str, place: str) -> None:

@@ -7,7 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from registry.pipeline.pipeline import Pipeline
+    from registry.runs.options import RunOptions
 
 
 class Command(ABC):
@@ -44,7 +48,7 @@ class TrainRequest:
 
     arguments: argparse.Namespace
     begin: float
-    load: Callable[[str], Any] | None = None
+    load: Callable[[str], Pipeline] | None = None
     pipeline_named: bool = True
 
 
@@ -52,20 +56,20 @@ class TrainOption(ABC):
     """Options that a plugin adds to the verbs in `verbs`."""
 
     verbs: ClassVar[tuple[str, ...]] = ("train",)
-    folder_pipeline: ClassVar[str | None] = None
-    """Name of the pipeline that trains a folder when the command names no pipeline."""
 
     @abstractmethod
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add options."""
 
     @abstractmethod
-    def running(self, request: TrainRequest, options: Any) -> AbstractContextManager[Any]:
+    def running(
+        self, request: TrainRequest, options: RunOptions
+    ) -> AbstractContextManager[RunOptions]:
         """Return a context that encloses the training and gives the options to run it with.
 
         It raises a `RunError` for options that contradict each other; no scene is loaded yet.
 
         Args:
             request: the command line.
-            options: `registry.runs.options.RunOptions`; the context gives the same type.
+            options: how the training runs by the other options; the context may give a changed copy.
         """

@@ -45,7 +45,6 @@ _VERBS = {
 _OPTIONS = {
     "other_processes": "verbs.other_processes:OtherProcesses",
     "photos": "verbs.check.option:PhotoOptions",
-    "quality": "quality.option:Quality",
     "view": "verbs.view.option:LiveView",
 }
 """The application's own options of `train` and `resume`."""

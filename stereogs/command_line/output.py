@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from registry.pipeline.parts import Part
+    from registry.runs.folder import RunFolder
     from registry.runs.run import Run
 
 FAILED = 1
@@ -105,6 +107,16 @@ def conclude(run: Run, output: Console) -> int:
         output.print(f"page      {folder.path / file}")
     output.print(f"hash      {results['hash']}")
     return print_failures(results["failures"], folder.path)
+
+
+def report(run: Run, folder: RunFolder, reports: Sequence[Part]) -> int:
+    """Write reports of a finished run, and print their files and failures; return the exit status."""
+    from registry.runs.outputs import write_reports
+
+    files, failures = write_reports(run, folder, reports)
+    for file in files:
+        console().print(f"page  {folder.path / file}")
+    return print_failures([failure.model_dump() for failure in failures], folder.path)
 
 
 def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:

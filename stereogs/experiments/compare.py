@@ -14,10 +14,9 @@ from ..command_line.command import Command
 from ..command_line.output import console
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from .comparing.comparison import FinishedRun
     from .comparing.table import Published
+    from .showing.score_table import ScoreTable
 
 _EPILOG = """\
 examples:
@@ -89,9 +88,7 @@ class Compare(Command):
         return 0
 
 
-def _print(table: Table, format_name: str) -> None:
-    from .comparing.table import as_latex, as_markdown, smallest_width
-
+def _print(table: ScoreTable, format_name: str) -> None:
     if format_name == "csv":
         raise RunError(
             "CSV cannot include published numbers",
@@ -99,12 +96,12 @@ def _print(table: Table, format_name: str) -> None:
             fix="remove --paper, or choose another format",
         )
     if format_name != "table":
-        print(as_markdown(table) if format_name == "markdown" else as_latex(table))
+        print(table.markdown() if format_name == "markdown" else table.latex())
         return
     output = console()
     # A folded line is better than a truncated number.
-    output.width = max(output.width, smallest_width(table)) if output.has_width else WIDEST
-    output.print(table, soft_wrap=False)
+    output.width = max(output.width, table.smallest_width) if output.has_width else WIDEST
+    output.print(table.drawn(), soft_wrap=False)
 
 
 def _published(paper: str, protocol: str | None, runs: Sequence[FinishedRun]) -> Published:

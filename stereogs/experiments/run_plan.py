@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from registry.discovery import Plugins
     from registry.pipeline.yaml_source import Node
 
-    from .planning.plan import Plan
-    from .running.folder import AblationFolder
-    from .running.runner import Outcome
+    from .planning.plan import Plan, PlannedRun
+    from .running.folder import ExperimentFolder
+    from .running.pool import Outcome
     from .showing.scores import Results
 
 INTERRUPTED = 130
@@ -60,15 +60,15 @@ def run_plan(
     from core_rasterizer import open_device
     from registry.pipeline.yaml_source import parse
 
-    from .running.folder import AblationFolder
+    from .running.folder import ExperimentFolder
     from .running.local_processes import LocalProcesses
-    from .running.runner import choose_runner, train_all
+    from .running.pool import choose_runner, train_all
 
     if arguments.runner is not None:
         runner = parse(arguments.runner, f"--runner {arguments.runner}", has_lines=False)
     output, device = console(), open_device(arguments.device)
     part = choose_runner(runner, arguments.jobs, plugins, device)
-    folder = AblationFolder(arguments.out or Path("runs", f"{plan.kind}-{plan.name}"))
+    folder = ExperimentFolder(arguments.out or Path("runs", f"{plan.kind}-{plan.name}"))
     with folder.locked() as lock:
         results = {run: folder.results(run) for run in plan.runs}
         waiting = [run for run in plan.runs if not results[run]]
@@ -88,7 +88,7 @@ def run_plan(
     return _exit_status(plan, results, folder, outcome, output)
 
 
-def _write(plan: Plan, results: Results, folder: AblationFolder, output: Console) -> None:
+def _write(plan: Plan, results: Results, folder: ExperimentFolder, output: Console) -> None:
     """Write the table as text, CSV and HTML, and print the text and the paths."""
     from registry.system.files import write_text
 
@@ -108,7 +108,11 @@ def _write(plan: Plan, results: Results, folder: AblationFolder, output: Console
 
 
 def _exit_status(
-    plan: Plan, results: Results, folder: AblationFolder, outcome: Outcome, output: Console
+    plan: Plan,
+    results: Results,
+    folder: ExperimentFolder,
+    outcome: Outcome[PlannedRun],
+    output: Console,
 ) -> int:
     """Return 0, or 130 after Ctrl-C.
 

@@ -7,10 +7,10 @@ import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from registry.runs.options import Plan
+    from .fitting import Fit
 
 
-def within(seconds: float) -> Plan:
+def within(seconds: float) -> Fit:
     """Return the argument `fit` of `train` for a run that takes `seconds` in total, from now on.
 
     Iterations are timed on the scene and this machine; schedules scale with their number, which never

@@ -8,6 +8,7 @@ run's pipeline records all choices, so that it can be repeated.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from math import ceil
@@ -17,14 +18,19 @@ from typing import TYPE_CHECKING, NamedTuple
 from registry import RunError
 from registry.messages.suggestions import counted
 from registry.pipeline.pipeline import Pipeline
-from registry.runs.options import Plan
+from registry.runs.folder import ChooseFolder, refuse_occupied
+from registry.runs.preparation import Prepared, load, prepare, running
+from registry.runs.training_run import train_prepared
 
 from .table import GROWTH, SHORT, Quality, by_length, by_quality
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from registry import Scene
-    from registry.runs.options import InitialState
+    from registry.runs.options import RunOptions
     from registry.runs.run import Run
+    from registry.training.trainer import Iteration
 
     from .rehearsal import Clock, Measured
 
@@ -69,8 +75,11 @@ class Budget:
 
 
 @dataclass
-class SizePlan(Plan):
+class Fit:
     """Trains the given pipeline, on smaller photographs if memory is short.
+
+    Subclasses choose the pipeline and its length. The pipeline of the run records all choices: training it
+    alone gives the same bits.
 
     Args:
         log: receives lines of at most 80 characters.
@@ -83,8 +92,43 @@ class SizePlan(Plan):
     size: int | None = None
     adapts_size: bool = False
     device: str | None = None
-    run: Run | None = field(default=None, init=False)
-    """The run that trains or has trained."""
+
+    def train(
+        self, pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
+    ) -> Run:
+        """Train the pipeline that fits; arguments, answer and errors as for `start_run`."""
+        refuse_occupied(out)
+        with running(options) as active:
+            loaded = load(pipeline, active)
+            resized = self.resized(pipeline, loaded.scene)
+            if resized is not pipeline:
+                loaded = loaded.again(resized)
+            initial = prepare(loaded, active)
+            fitted = self.fitted(initial)
+            if fitted is not initial.pipeline:
+                initial = initial.of(fitted)
+            return self._train(initial, active, out)
+
+    def _train(
+        self, initial: Prepared, options: RunOptions, out: Path | ChooseFolder | None
+    ) -> Run:
+        """Train to the end, or until `corrected` returns a pipeline, and then that one in the same folder."""
+        total, corrections = initial.pipeline.training.iterations, list[Pipeline]()
+
+        def watch(done: Iteration) -> bool:
+            if options.callback is not None and options.callback(done) is False:
+                return False
+            corrected = self.corrected(done.number, total)
+            corrections.extend([] if corrected is None else [corrected])
+            return corrected is None
+
+        run = train_prepared(initial, replace(options, callback=watch), out)
+        if not corrections or run.interrupted:
+            return run
+        if run.folder is not None:
+            out = run.folder.path
+            shutil.rmtree(out)
+        return self._train(initial.of(corrections[0]), options, out)
 
     def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
         """Return the pipeline with smaller photographs if time or memory is short.
@@ -123,18 +167,25 @@ class SizePlan(Plan):
         """CPU seconds that the process can expect until the end of the budget; None: no limit."""
         return None
 
-    def corrected(self, run: Run) -> Pipeline | None:
-        """Note the run."""
-        self.run = run
+    def fitted(self, initial: Prepared) -> Pipeline:
+        """Return the pipeline that trains, with the same scene, priors and initializer."""
+        return initial.pipeline
+
+    def corrected(self, done: int, total: int) -> Pipeline | None:
+        """Return a pipeline to start training again with, or None; called after each iteration.
+
+        Args:
+            done, total: the number of the iteration, and of the last one.
+        """
         return None
 
-    def closing(self) -> Iterator[str]:
+    def closing(self, run: Run) -> Iterator[str]:
         """Yield what to report after a finished run."""
         return iter(())
 
 
 @dataclass
-class WithQuality(SizePlan):
+class WithQuality(Fit):
     """Trains a folder with the pipeline of a quality.
 
     Args:
@@ -145,21 +196,20 @@ class WithQuality(SizePlan):
     load: Load = field(kw_only=True)
     quality: Quality = "good"
 
-    def fitted(self, initial: InitialState) -> Pipeline:
+    def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline of the quality for the number of training views."""
         choice = by_quality(self.quality)
         chosen = _ready(choice.name, initial, self.load)
         _log_choice(chosen, choice.reason, initial, self.log)
         return chosen
 
-    def closing(self) -> Iterator[str]:
+    def closing(self, run: Run) -> Iterator[str]:
         """Yield the command that repeats the run."""
-        assert self.run is not None
-        yield f"repeat    stereogs train {self.run.folder_or_refuse().pipeline}"
+        yield f"repeat    stereogs train {run.folder_or_refuse().pipeline}"
 
 
 @dataclass
-class WithinSeconds(SizePlan):
+class WithinSeconds(Fit):
     """Trains as long as a budget allows, and at least 30 iterations.
 
     Args:
@@ -181,7 +231,7 @@ class WithinSeconds(SizePlan):
         """Return the seconds left at the rate at which the process has got CPU time so far."""
         return self._seconds_left() * process_time() / self.budget.spent
 
-    def fitted(self, initial: InitialState) -> Pipeline:
+    def fitted(self, initial: Prepared) -> Pipeline:
         """Return the best pipeline for the time left."""
         from .rehearsal import SharedState
 
@@ -202,7 +252,7 @@ class WithinSeconds(SizePlan):
         self._log_cost(count)
         return chosen
 
-    def _measure(self, initial: InitialState, ready: str | None, *, again: bool = True) -> None:
+    def _measure(self, initial: Prepared, ready: str | None, *, again: bool = True) -> None:
         """Consider a pipeline, and time it if there is time left and `again` is true.
 
         Args:
@@ -229,15 +279,14 @@ class WithinSeconds(SizePlan):
         changes = {"max_gaussians": self._growth.most, "evaluate_every": 0}
         return replace(fitted, training=fitted.training.model_copy(update=changes))
 
-    def corrected(self, run: Run) -> Pipeline | None:
+    def corrected(self, done: int, total: int) -> Pipeline | None:
         """Return the pipeline with fewer iterations if the machine has become too slow, otherwise None.
 
         After 10, 25 and 50 % of the iterations, the time for the others is extrapolated from the time
         so far. If training would end after 1.1 times the budget, it starts again with as many iterations as
         fit, at least 30, unless that takes more than four fifths of the time for going on.
         """
-        self.run, self._spent = run, self.budget.spent
-        done, total = run.iteration, run.pipeline.training.iterations
+        self._spent = self.budget.spent
         if done == 1:
             self._began = self._spent
         measured, checked = self._measured, {ceil(share * total) for share in CHECKED} - {1}
@@ -257,10 +306,9 @@ class WithinSeconds(SizePlan):
         self._shared.restore()
         return self._with_length(count)
 
-    def closing(self) -> Iterator[str]:
+    def closing(self, run: Run) -> Iterator[str]:
         """Yield how long the finished run took, why it is late, and how to repeat it."""
-        assert self.run is not None
-        run, seconds = self.run, self.run.seconds
+        seconds = run.seconds
         took = self._spent + seconds.evaluation + seconds.outputs
         if took > self.budget.seconds:
             parts = {
@@ -295,7 +343,7 @@ class WithinSeconds(SizePlan):
             self.log(f"  less than {seconds:g} s, because more iterations are not known to help")
 
 
-def _ready(name: str, initial: InitialState, load: Load) -> Pipeline:
+def _ready(name: str, initial: Prepared, load: Load) -> Pipeline:
     """Load a pipeline of the table for the number of training views, with the scene as it was read."""
     if name == SHORT:
         return initial.pipeline
@@ -310,7 +358,7 @@ class _Growth(NamedTuple):
     most: int
 
 
-def _growth(initial: InitialState, ready: str | None) -> _Growth:
+def _growth(initial: Prepared, ready: str | None) -> _Growth:
     """Return the expected growth, within the pipeline's own limit.
 
     Args:
@@ -326,7 +374,7 @@ def _growth(initial: InitialState, ready: str | None) -> _Growth:
     return _Growth(max(first, min(int(mean), limit)), max(1, min(int(most), limit)))
 
 
-def _log_choice(chosen: Pipeline, reason: str, initial: InitialState, log: Log) -> None:
+def _log_choice(chosen: Pipeline, reason: str, initial: Prepared, log: Log) -> None:
     """Log the pipeline, the scene and the reason in lines of at most 80 characters."""
     training, camera = chosen.training, initial.scene.train[0].camera
     log(f"trained: {chosen.name}, {training.iterations:,} iterations")

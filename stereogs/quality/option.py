@@ -1,69 +1,65 @@
-"""The options `--seconds`, `--quality` and `--size` of `train`, and the pipeline for a folder."""
+"""The options `--seconds`, `--quality` and `--size` of `train`."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from registry import RunError
 
 from ..command_line.arguments import positive_seconds
-from ..command_line.command import TrainOption
 from ..command_line.output import console
-from .table import QUALITIES, SHORT
+from .table import QUALITIES
 
 if TYPE_CHECKING:
-    from registry.runs.options import RunOptions
-
     from ..command_line.command import TrainRequest
-    from .fitting import SizePlan
+    from .fitting import Fit
 
 LENGTH, SIZE = "training.iterations", "scene.max_size"
 
 
-class Quality(TrainOption):
-    """The options `--seconds`, `--quality` and `--size`."""
+def add_quality(parser: argparse.ArgumentParser) -> None:
+    """Add the options; the first two exclude each other."""
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--seconds",
+        type=positive_seconds,
+        metavar="N",
+        help="finish the whole run within N seconds, from the command to the last file, with smaller "
+        "photographs and fewer iterations, but at least 30",
+    )
+    length.add_argument(
+        "--quality", choices=QUALITIES, help="which pipeline trains a folder (default: good)"
+    )
+    parser.add_argument(
+        "--size",
+        action=_Size,
+        type=int,
+        metavar="PIXELS",
+        help="longer side of the training photographs, at most (--set scene.max_size=PIXELS); default "
+        "for photographs without cameras: 800, less if time or memory is short",
+    )
 
-    folder_pipeline = SHORT
 
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add the options, which exclude each other."""
-        length = parser.add_mutually_exclusive_group()
-        length.add_argument(
-            "--seconds",
-            type=positive_seconds,
-            metavar="N",
-            help="finish the whole run within N seconds, from the command to the last file, with smaller "
-            "photographs and fewer iterations, but at least 30",
-        )
-        length.add_argument(
-            "--quality", choices=QUALITIES, help="which pipeline trains a folder (default: good)"
-        )
-        parser.add_argument(
-            "--size",
-            action=_Size,
-            type=int,
-            metavar="PIXELS",
-            help="longer side of the training photographs, at most (--set scene.max_size=PIXELS); default "
-            "for photographs without cameras: 800, less if time or memory is short",
-        )
+def given_fit(request: TrainRequest) -> Fit:
+    """Return what chooses size, pipeline and length for a command line.
 
-    @contextmanager
-    def running(self, request: TrainRequest, options: RunOptions) -> Iterator[RunOptions]:
-        """Choose size, pipeline and length during the run; report afterwards what it took.
+    Raises:
+        RunError: --quality is given with a pipeline, or an option with a number of iterations.
+    """
+    _check(request)
+    from .fitting import Budget, Fit, WithinSeconds, WithQuality
 
-        Raises:
-            RunError: --quality is given with a pipeline, or an option with a number of iterations.
-        """
-        _check(request)
-        plan = _plan(request)
-        yield replace(options, fit=plan)
-        if plan.run is not None and plan.run.finished:
-            for line in plan.closing():
-                console().print(line)
+    given, log, load = request.arguments, console().print, request.load
+    is_folder = not request.pipeline_named
+    adapts = is_folder and not _changed(given) & {SIZE, "scene.downsample"}
+    chosen = {"size": given.size, "adapts_size": adapts, "device": given.device}
+    if given.seconds:
+        budget = Budget(given.seconds, request.begin)
+        return WithinSeconds(log, **chosen, budget=budget, load=load if is_folder else None)
+    if not is_folder or load is None or LENGTH in _changed(given):
+        return Fit(log, **chosen)
+    return WithQuality(log, **chosen, load=load, quality=given.quality or "good")
 
 
 class _Size(argparse.Action):
@@ -88,7 +84,7 @@ def _check(request: TrainRequest) -> None:
             where=f"--quality {given.quality}",
             fix="give a folder of photographs or data, or --seconds",
         )
-    if (given.seconds or given.quality) and _iterations_given(given):
+    if (given.seconds or given.quality) and LENGTH in _changed(given):
         option = "--seconds" if given.seconds else "--quality"
         raise RunError(
             f"{option} conflicts with {LENGTH}",
@@ -97,26 +93,6 @@ def _check(request: TrainRequest) -> None:
         )
 
 
-def _iterations_given(arguments: argparse.Namespace) -> bool:
-    return LENGTH in _changed(arguments)
-
-
 def _changed(arguments: argparse.Namespace) -> set[str]:
     """Names of the settings that --set changes."""
     return {text.partition("=")[0].strip() for text in arguments.set}
-
-
-def _plan(request: TrainRequest) -> SizePlan:
-    """Return the plan for a command line: a folder has its size and its pipeline chosen."""
-    from .fitting import Budget, SizePlan, WithinSeconds, WithQuality
-
-    given, log, load = request.arguments, console().print, request.load
-    is_folder = not request.pipeline_named
-    adapts = is_folder and not _changed(given) & {SIZE, "scene.downsample"}
-    chosen = {"size": given.size, "adapts_size": adapts, "device": given.device}
-    if given.seconds:
-        budget = Budget(given.seconds, request.begin)
-        return WithinSeconds(log, **chosen, budget=budget, load=load if is_folder else None)
-    if not is_folder or load is None or _iterations_given(given):
-        return SizePlan(log, **chosen)
-    return WithQuality(log, **chosen, load=load, quality=given.quality or "good")

@@ -19,7 +19,7 @@ from core_rasterizer import Gaussians, Model
 from registry import View
 from registry.pipeline.parts import Part, Parts
 from registry.runs.evaluation import evaluate, quick
-from registry.runs.options import InitialState
+from registry.runs.preparation import Prepared
 from registry.toolkit.progress import progress
 from registry.training.assembly import assemble
 from registry.training.trainer import Trainer
@@ -67,7 +67,7 @@ class Measured(NamedTuple):
         return sum(count * each for count, each in zip(shares, self.quarters, strict=True))
 
 
-def rehearse(initial: InitialState, count: int, clock: Clock, seconds: float) -> Measured:
+def rehearse(initial: Prepared, count: int, clock: Clock, seconds: float) -> Measured:
     """Measure a pipeline on its scene.
 
     Args:
@@ -121,7 +121,7 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> fl
     return (clock() - begin) / max(done, 1)
 
 
-def _after(initial: InitialState, model: Model, parts: Parts, clock: Clock) -> float:
+def _after(initial: Prepared, model: Model, parts: Parts, clock: Clock) -> float:
     """Return the seconds after the last iteration, extrapolated from one view of each split."""
     train, test = initial.scene.train, initial.scene.test
     every, fast = parts["metrics"], quick(parts["metrics"])

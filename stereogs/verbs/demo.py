@@ -17,7 +17,6 @@ from ..command_line.output import conclude, console
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from registry.discovery import Plugins
     from registry.runs.folder import RunFolder
 
 DATA = "STEREOGS_DATA"
@@ -49,17 +48,16 @@ class Demo(Command):
         with showing(output):
             from registry.discovery import Plugins
             from registry.pipeline.pipeline import load_pipeline
+            from registry.runs.folder import in_runs
             from registry.runs.results import RENDERS
-            from registry.runs.training_run import in_runs
             from registry.system.files import replacing
             from registry.toolkit.drawing.pictures import COMPARISONS
 
             from ..session import train
 
-            plugins = Plugins()
-            scene = photographs(plugins)
+            scene = photographs()
             overrides = [] if scene is None else [f"scene={json.dumps(scene, ensure_ascii=False)}"]
-            pipeline = load_pipeline(Path("demo"), plugins, overrides=overrides)
+            pipeline = load_pipeline(Path("demo"), Plugins(), overrides=overrides)
             what = "the built-in room" if scene is None else f"photographs in {scene['path']}"
             output.print(
                 f"demo: a scene from three views of {what}; half a minute on two idle cores, a few "
@@ -92,24 +90,20 @@ def _print_next_steps(folder: RunFolder, output: Console) -> None:
     )
 
 
-def photographs(plugins: Plugins) -> dict[str, Any] | None:
+def photographs() -> dict[str, Any] | None:
     """Return the section `scene` of a pipeline for a scene in STEREOGS_DATA; None if there is none.
 
-    STEREOGS_DATA is the folder of a scene or a folder of scenes; the first by name that a loader recognizes
-    and has demo settings for is used.
+    STEREOGS_DATA is the folder of an LLFF scene or a folder of scenes; the first by name with photographs at
+    1/8 size is used, as larger ones would train for longer.
     """
     root = os.environ.get(DATA)
     if not root or not Path(root).is_dir():
         return None
-    from registry.discovery import scene_loaders
     from registry.pipeline.settings_check import escape_variables
 
-    loaders = scene_loaders(plugins)
     for folder in (Path(root), *sorted(path for path in Path(root).iterdir() if path.is_dir())):
-        for offer, loader in loaders:
-            settings = loader.demo_settings(folder) if loader.recognizes(folder) else None
-            if settings is not None:
-                inside = folder.relative_to(root).as_posix()
-                path = f"${{{DATA}}}" + ("" if inside == "." else f"/{escape_variables(inside)}")
-                return {"use": offer.name, "path": path, **settings}
+        if (folder / "poses_bounds.npy").is_file() and (folder / "images_8").is_dir():
+            inside = folder.relative_to(root).as_posix()
+            path = f"${{{DATA}}}" + ("" if inside == "." else f"/{escape_variables(inside)}")
+            return {"use": "llff", "path": path, "train_views": 3}
     return None

@@ -32,10 +32,13 @@ class Eval(Command):
         output, accept = console(), arguments.accept_changed_plugins
         with showing(output):
             run = open_given(arguments)
-            results = run.renew(accept_changed_plugins=accept)
-        from registry.runs.results import RENDERS
+            from registry.runs.outputs import renew
+            from registry.runs.results import RENDERS
+
+            folder = run.folder_or_refuse()
+            results = renew(run, folder, accept_changed_plugins=accept)
 
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
-            output.print(f"pictures  {run.folder_or_refuse().path / RENDERS}")
+            output.print(f"pictures  {folder.path / RENDERS}")
         return print_failures(results["failures"], arguments.run_folder)

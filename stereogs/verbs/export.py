@@ -142,7 +142,7 @@ def export(
     """
     from registry.calls.copies import copied
     from registry.pipeline.parts import build_part
-    from registry.runs.results import EXPORTS, existing_files
+    from registry.runs.results import EXPORTS
     from registry.training.trainer import one_torch_thread
 
     item = find_exporter(format_name, changes)
@@ -151,8 +151,8 @@ def export(
         reader = _reader(run, without, min_confidence)
         place.mkdir(parents=True, exist_ok=True)
         part = build_part(item, run.pipeline.training.seed, run.model.engine)
-        with part.at_work():
-            return existing_files(part.component.export(reader, copied(run.scene), place))
+        files: list[Path] = part.call(reader, copied(run.scene), place)
+        return files
 
 
 def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:
@@ -182,7 +182,8 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
         attributes = {"confidence": values[~left_out]}
     if left_out.all():
         where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
-        raise RunError("no Gaussian would remain", where=where, fix="leave out less")
+        fix = "name fewer kinds with --without, or choose a lower --min-confidence"
+        raise RunError("all Gaussians would be left out", where=where, fix=fix)
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
     model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
     return GaussianReader(model, attributes)

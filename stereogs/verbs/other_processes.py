@@ -29,21 +29,8 @@ ITERATIONS = 24
 _HASH_SEED = "PYTHONHASHSEED"
 HASH_SEEDS = ("1", "2")
 """Values of `_HASH_SEED` in the processes: it decides `hash()` of texts, and the order of sets."""
-_METHODS = {
-    "initializer": "initialize",
-    "samplers": "sample",
-    "appearances": "colors",
-    "regularizers": "loss",
-    "modifiers": "opacity_scale",
-    "densification": "refine",
-    "opacity": "update",
-    "perturbations": "offsets",
-    "metrics": "measure_view",
-}
-"""The method of each section whose answers decide the result."""
-_RECORDS = ("facts", "pictures")
-"""Parts of answers that may differ, for example seconds."""
-_SILENT = ("exporters", "reports", "observers")
+_LEFT_OUT = ("exporters", "reports", "observers")
+"""Sections whose answers do not decide the result."""
 _log = logging.getLogger("stereogs")
 
 Answer = tuple[str, dict[str, str]]
@@ -81,19 +68,19 @@ def refuse_different_answers(pipeline: Pipeline, scene: Scene, device: str) -> N
     Raises:
         PluginError: an answer differs; names the first component.
     """
-    from registry.pipeline.blame import blame as blamed
+    from registry.calls.blame import blame as blamed
 
-    silent: dict[str, tuple[Item, ...]] = dict.fromkeys(_SILENT, ())
-    short = replace(pipeline, items=pipeline.items | silent, protocol=None).scaled(ITERATIONS)
+    none: dict[str, tuple[Item, ...]] = dict.fromkeys(_LEFT_OUT, ())
+    short = replace(pipeline, items=pipeline.items | none, protocol=None).scaled(ITERATIONS)
     few = replace(scene, test=scene.test[:1])
     try:
         answers = [_in_process(seed, short, few, device) for seed in HASH_SEEDS]
     except Exception as error:  # the run itself reports errors of its components
         _log.warning("answers were not compared between processes: %s", error)
         return
-    for one, other in zip(*answers, strict=False):
-        if one != other:
-            (item,) = (item for item in pipeline if item.qualified_name == one[0])
+    for (name, digests), other in zip(*answers, strict=False):
+        if (name, digests) != other:
+            (item,) = (item for item in pipeline if item.qualified_name == name)
             with blamed(item):
                 raise PluginError(
                     "it gave different answers in two processes: no run could be repeated or resumed",
@@ -121,8 +108,10 @@ def answers_of(pipeline: Pipeline, scene: Scene, device: str) -> Sequence[Answer
 
     answers: list[Answer] = []
     items = {
-        section: tuple(_recording(item, answers) if section in _METHODS else item for item in its)
-        for section, its in pipeline.items.items()
+        section: tuple(
+            _recording(item, answers) if item.point.method else item for item in of_section
+        )
+        for section, of_section in pipeline.items.items()
     }
     run = train(replace(pipeline, items=items), scene=scene, device=device, progress=False)
     _ = run.scores
@@ -131,16 +120,16 @@ def answers_of(pipeline: Pipeline, scene: Scene, device: str) -> Sequence[Answer
 
 def _recording(item: Item, answers: list[Answer]) -> Item:
     """Return the item with a subclass of its component that adds its answers to the list."""
-    from registry.pipeline.repeats import digests
+    from registry.calls.repeats import digests, is_record
 
     component = item.offer.component
-    name = _METHODS[item.offer.point.section]
+    name = item.point.method
     method = getattr(component, name)
 
     def recorded(self: Any, *given: Any) -> Any:
         answer = method(self, *given)
         parts = digests(answer).items()
-        kept = {part: digest for part, digest in parts if not part.startswith(_RECORDS)}
+        kept = {part: digest for part, digest in parts if not is_record(part)}
         answers.append((item.qualified_name, kept))
         return answer
 

@@ -89,7 +89,7 @@ def repeat_failure(
     from registry.pipeline.parts import Parts, load_scene
     from registry.pipeline.pipeline import load_pipeline
     from registry.runs.opening import FAILURES
-    from registry.runs.origin import compare_inputs
+    from registry.runs.origin import refuse_changed_inputs
     from registry.training.assembly import restore
     from registry.training.checkpoint import explain_misfit, read_checkpoint
 
@@ -111,7 +111,8 @@ def repeat_failure(
         raise RunError(what, where=str(place), fix=fix)
     parts = Parts(pipeline, device)
     scene = load_scene(parts.one("scene"))
-    compare_inputs(inputs, scene, pipeline, place, accept=accept_changed_inputs)
+    if not accept_changed_inputs:
+        refuse_changed_inputs(inputs, scene, pipeline, place)
     with explain_misfit(place):
         trainer = restore(parts, scene, checkpoint)
     next(done for done in trainer.run() if done.number == iteration)

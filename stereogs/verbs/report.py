@@ -12,7 +12,7 @@ from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import add_run, open_given
 from ..command_line.command import Command
-from ..command_line.output import console, print_failures
+from ..command_line.output import console, report
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,19 +50,16 @@ class Report(Command):
         """Write the reports and print their paths; return 1 if a report failed."""
         from registry.discovery import Plugins
 
-        output = console()
-        with showing(output):
+        with showing(console()):
             given = open_given(arguments)
-            if not given.finished or not given.folder_or_refuse().results():
+            folder = given.folder_or_refuse()
+            if not given.finished or not folder.results():
                 raise RunError(
                     "the run has not finished, so it has no report yet",
                     where=str(arguments.run_folder),
                     fix=f"stereogs resume {arguments.run_folder}",
                 )
-            files, failures = given.report(_reports(given, Plugins(), arguments.beside))
-        for file in files:
-            output.print(f"page  {given.folder_or_refuse().path / file}")
-        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
+            return report(given, folder, _reports(given, Plugins(), arguments.beside))
 
 
 def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:

@@ -25,8 +25,6 @@ from ..command_line.command import Command
 from ..command_line.output import console
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-HEADER = "# yaml-language-server: $schema="
-"""Start of a YAML file's first line that binds it to a schema; the schema's address follows."""
 
 _NOTES = ("description", "default", "title")
 """Keys of a schema that do not restrict the value."""

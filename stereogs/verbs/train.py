@@ -22,12 +22,14 @@ from ..command_line.arguments import (
     add_run_options,
     run_options,
 )
-from ..command_line.command import Command, TrainOption, TrainRequest
+from ..command_line.command import Command, TrainRequest
 from ..command_line.installed import train_options
 from ..command_line.output import conclude, console
+from ..quality.option import add_quality, given_fit
+from ..quality.table import SHORT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from registry.discovery import Plugins
     from registry.pipeline.pipeline import Pipeline
@@ -76,6 +78,7 @@ from it to the same result.
         add_changes(parser)
         add_device(parser)
         add_run_options(parser, "train")
+        add_quality(parser)
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Train; return 0, or 1 if something failed after training, or 130 after Ctrl-C."""
@@ -85,18 +88,24 @@ from it to the same result.
         output = console()
         with WATCHDOG.ending(arguments.hang_after), showing(output):
             from registry.discovery import Plugins
+            from registry.runs.folder import in_runs
 
             from ..session import train
 
-            extra, plugins = train_options("train"), Plugins()
+            plugins, place = Plugins(), arguments.out or in_runs
             named = not _is_data(arguments.pipeline, plugins)
             load = _loader(arguments, plugins, named)
-            pipeline = load(arguments.pipeline.as_posix() if named else _folder_pipeline(extra))
+            pipeline = load(arguments.pipeline.as_posix() if named else SHORT)
             request = TrainRequest(arguments, begin, load, pipeline_named=named)
             with collector_at_rest():
-                from registry.runs.training_run import in_runs
-            with run_options(request, extra, output) as options:
-                return conclude(train(pipeline, options, out=arguments.out or in_runs), output)
+                import registry.runs.training_run  # noqa: F401
+            with run_options(request, train_options("train"), output) as options:
+                fit = given_fit(request)
+                run = train(pipeline, options, out=place, fit=fit)
+                status = conclude(run, output)
+                for line in fit.closing(run) if run.finished else ():
+                    output.print(line)
+                return status
 
 
 class Resume(Command):
@@ -146,18 +155,6 @@ def collector_at_rest() -> Iterator[None]:
             gc.freeze()
         if enabled:
             gc.enable()
-
-
-def _folder_pipeline(options: Sequence[TrainOption]) -> str:
-    """Return the pipeline for a folder of photographs when the command names none."""
-    for option in options:
-        if option.folder_pipeline is not None:
-            return option.folder_pipeline
-    raise RunError(
-        "no installed plugin chooses a pipeline for a folder",
-        where="the command line",
-        fix="name a pipeline: `stereogs train PIPELINE --scene FOLDER`",
-    )
 
 
 def _is_data(given: Path, plugins: Plugins) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -28,16 +28,18 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("stereogs.sfm")
 
+MIN_TRIANGULATION_ANGLE = 1.5
+"""Smallest angle between the rays of a point, degrees."""
+
 
 class SfmSettings(Settings):
+    removed: ClassVar = {"min_triangulation_angle": MIN_TRIANGULATION_ANGLE}
     source: Literal["auto", "scene", "triangulate"] = "auto"
     """Source of the points: the scene's points, triangulation from the training photographs, or `auto`: the
     former if the scene has any."""
     max_reprojection_error: float = Field(2.0, gt=0)
     """Largest reprojection error of a point, and largest distance of a match from its epipolar line, in
     pixels."""
-    min_triangulation_angle: float = Field(1.5, gt=0, lt=90)
-    """Smallest angle between the rays of a point, degrees."""
 
 
 class SfmInitializer(Initializer[SfmSettings]):
@@ -59,7 +61,7 @@ class SfmInitializer(Initializer[SfmSettings]):
             return triangulated_points(
                 scene,
                 max_reprojection_error=self.settings.max_reprojection_error,
-                min_angle=self.settings.min_triangulation_angle,
+                min_angle=MIN_TRIANGULATION_ANGLE,
                 seed=self.context.seed,
             )
         if scene.points is None or not has_points:

@@ -129,7 +129,7 @@ class ViewAngle(ViewMetric[Settings]):
 
         points = None if scene.points is None else scene.points.positions
         subject = subject_of(view.camera, scene.bounds, points)
-        return view_angles(view.camera, [one.camera for one in scene.train], subject).nearest
+        return view_angles(view.camera, [other.camera for other in scene.train], subject).nearest
 
 
 @hookimpl

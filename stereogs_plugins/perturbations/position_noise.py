@@ -7,7 +7,7 @@ assumes learning rates of the positions relative to the scene's extent.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
@@ -19,17 +19,20 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+STEEPNESS = 100.0
+"""How fast the noise decreases as the opacity rises above `opacity` (the authors' code)."""
+
+
 class PositionNoiseSettings(Settings):
+    removed: ClassVar = {"steepness": STEEPNESS}
     factor: float = Field(5e5, ge=0, allow_inf_nan=False)
     """Noise per learning rate of the means."""
-    steepness: float = Field(100.0, ge=0, allow_inf_nan=False)
-    """How fast the noise decreases as the opacity rises above `opacity`."""
     opacity: float = Field(0.005, ge=0, le=1)
     """Opacity at which the noise has half its strength."""
 
 
 class PositionNoise(Perturbation[PositionNoiseSettings]):
-    """mean <- mean + rate * factor * sigmoid(-steepness (alpha - opacity)) * Sigma * normal noise."""
+    """mean <- mean + rate * factor * sigmoid(-100 (alpha - opacity)) * Sigma * normal noise."""
 
     def offsets(self, step: Step) -> Mapping[str, Tensor]:
         """Return the offsets of the means, `[N, 3]` world units."""
@@ -37,7 +40,7 @@ class PositionNoise(Perturbation[PositionNoiseSettings]):
 
         settings, model = self.settings, step.model
         noise = torch.randn(model.count, 3, generator=self.generator)
-        faintness = torch.sigmoid(-settings.steepness * (model.opacities() - settings.opacity))
+        faintness = torch.sigmoid(-STEEPNESS * (model.opacities() - settings.opacity))
         strength = step.learning_rates["means"] * settings.factor * faintness
         axes = rotations(model.read("quaternions"))
         along = torch.einsum("nji,nj->ni", axes, strength[:, None] * noise)

@@ -6,7 +6,7 @@ and wide baselines therefore match as well as frontal ones. A consistency term d
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 _NO_MATCH = 0.9
 """Cost from which on windows count as uncorrelated."""
 
+NEAR_MARGIN, FAR_MARGIN = 0.9, 1.2
+"""Least and largest depth as multiples of the scene's near and far bound."""
+
 
 class PatchMatchSettings(Settings):
-    near_margin: float = Field(0.9, gt=0, le=1)
-    """Least depth as a multiple of the scene's near bound."""
-    far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
-    """Largest depth as a multiple of the scene's far bound."""
+    removed: ClassVar = {"near_margin": NEAR_MARGIN, "far_margin": FAR_MARGIN}
     max_sources: int = Field(5, ge=1, le=MAX_PATCH_SOURCES)
     """Largest number of source views per view, chosen by overlap and triangulation angle."""
     radius: int = Field(3, ge=1, le=12)
@@ -58,7 +58,7 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
         from core_rasterizer.matching import PatchMatch, seen_by_any, source_views
 
         settings = self.settings
-        reach = bounds[0] * settings.near_margin, bounds[1] * settings.far_margin
+        reach = bounds[0] * NEAR_MARGIN, bounds[1] * FAR_MARGIN
         cameras = [view.camera for view in views]
         sources = [
             source_views(cameras, index, settings.max_sources, reach) for index in range(len(views))

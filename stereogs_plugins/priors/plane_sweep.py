@@ -8,7 +8,7 @@ between its neighbours.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
     from core_rasterizer.matching import FeatureSweep, ZnccSweep
 
+NEAR_MARGIN, FAR_MARGIN = 0.9, 1.2
+"""Least and largest depth as multiples of the scene's near and far bound."""
+
 
 class PlaneSweepSettings(Settings):
+    removed: ClassVar = {"near_margin": NEAR_MARGIN, "far_margin": FAR_MARGIN}
     planes: int = Field(192, ge=4, le=1024)
     """Number of planes, equally spaced in inverse depth."""
-    near_margin: float = Field(0.9, gt=0, le=1)
-    """Depth of the nearest plane as a multiple of the scene's near bound."""
-    far_margin: float = Field(1.2, ge=1, allow_inf_nan=False)
-    """Depth of the farthest plane as a multiple of the scene's far bound."""
     max_sources: int = Field(6, ge=1, le=16)
     """Largest number of source views per view, chosen by overlap and triangulation angle."""
     cost: Literal["zncc", "features"] = "zncc"
@@ -108,7 +108,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         from core_rasterizer.matching import Penalties, aggregate, pick, seen_by_any, source_views
 
         planes = self.settings.planes
-        near, far = bounds[0] * self.settings.near_margin, bounds[1] * self.settings.far_margin
+        near, far = bounds[0] * NEAR_MARGIN, bounds[1] * FAR_MARGIN
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
         inverse_depths = farthest + step * torch.arange(planes, dtype=torch.float64)
         cameras = [view.camera for view in views]

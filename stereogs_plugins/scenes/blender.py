@@ -21,8 +21,8 @@ from registry.toolkit.photos import (
     Finite,
     Lens,
     LoadedPhotos,
-    Matrix4x4,
     PosedPhoto,
+    PoseMatrix,
     ResizeFilter,
     at_most,
     find_image,
@@ -35,6 +35,7 @@ from registry.toolkit.photos import (
 STANDARD_VIEWS = (2, 16, 26, 55, 73, 76, 86, 93)
 """The eight training views of sparse-view Gaussian splatting; DietNeRF's list has 75 for 76."""
 _FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with a 4x4 matrix each"
+_NO_TEST_FIX = f"{_FIX}; without test views set `test_every: 0`"
 
 
 class BlenderSettings(Settings):
@@ -76,9 +77,9 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         settings = self.settings
         folder = settings.path.expanduser()
         train = _read_split(folder, "train")
-        test = _read_split(folder, "test")
-        train_ids = list(train if settings.train_ids is None else settings.train_ids)
         every = settings.test_every
+        test = _read_split(folder, "test", _NO_TEST_FIX) if every else {}
+        train_ids = list(train if settings.train_ids is None else settings.train_ids)
         test_ids = [number for number in test if every and number % every == 0]
         missing = [number for number in train_ids if number not in train]
         if missing:
@@ -111,18 +112,56 @@ class BlenderScene(SceneLoader[BlenderSettings]):
 
 class _Frame(pydantic.BaseModel):
     file_path: str
-    transform_matrix: Matrix4x4
+    transform_matrix: PoseMatrix
 
 
 class _Transforms(pydantic.BaseModel):
     camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)]
+    fl_x: Finite | None = None
+    fl_y: Finite | None = None
+    cx: Finite | None = None
+    cy: Finite | None = None
+    w: Finite | None = None
+    h: Finite | None = None
+    is_fisheye: bool = False
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    k3: Finite = 0.0
+    k4: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
     frames: tuple[_Frame, ...]
 
+    def lens(self, image: Path, where: str) -> Lens:
+        """Return the lens; without further fields it has square pixels and a centred principal point.
 
-def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
+        Raises:
+            SceneError: the fields describe a distorted lens.
+        """
+        if self.is_fisheye or any((self.k1, self.k2, self.k3, self.k4, self.p1, self.p2)):
+            raise SceneError(
+                "the lens is distorted, which renders are not",
+                where=where,
+                fix="join both files as transforms.json, which the loader nerfstudio undistorts",
+            )
+        stored = stored_size(image)
+        width = stored[0] if self.w is None else self.w
+        height = stored[1] if self.h is None else self.h
+        focal = width / 2 / math.tan(self.camera_angle_x / 2) if self.fl_x is None else self.fl_x
+        return Lens(
+            fx=focal,
+            fy=focal if self.fl_y is None else self.fl_y,
+            cx=width / 2 if self.cx is None else self.cx,
+            cy=height / 2 if self.cy is None else self.cy,
+            width=width,
+            height=height,
+        )
+
+
+def _read_split(folder: Path, split: str, fix: str = _FIX) -> dict[int, PosedPhoto]:
     """Photographs of one split by number, in the order of the file."""
     path = folder / f"transforms_{split}.json"
-    content = read_document(path, _Transforms, _FIX)
+    content = read_document(path, _Transforms, fix)
     photos: dict[int, PosedPhoto] = {}
     lens = None
     for index, frame in enumerate(content.frames):
@@ -135,7 +174,7 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
                 where=where,
                 fix="name photographs like r_0, r_1, ...",
             )
-        lens = lens or _lens(content.camera_angle_x, find_image(image))
+        lens = lens or content.lens(find_image(image), str(path))
         photos[int(number[1])] = PosedPhoto(
             name=f"{split}_{image.stem}",
             path=image,
@@ -144,13 +183,6 @@ def _read_split(folder: Path, split: str) -> dict[int, PosedPhoto]:
             where=where,
         )
     return photos
-
-
-def _lens(angle: float, image: Path) -> Lens:
-    """Lens with a horizontal field of view in radians, square pixels and a centred principal point."""
-    width, height = stored_size(image)
-    focal = width / 2 / math.tan(angle / 2)
-    return Lens(focal, focal, width / 2, height / 2, width, height)
 
 
 @hookimpl

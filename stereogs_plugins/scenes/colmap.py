@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,21 +15,25 @@ from registry.toolkit.photos import (
     LoadedPhotos,
     PosedPhoto,
     SplitSettings,
+    colmap_models,
+    count_images,
     estimate_bounds,
-    has_colmap_model,
     inside,
     read_colmap_model,
+    usable_photos,
     view_names,
 )
 
 _FIX = "set `path` to a folder with images and a complete COLMAP model (see `model`)"
+_log = logging.getLogger("stereogs.photos")
 
 
 class ColmapSettings(SplitSettings, ImageSourceSettings):
     path: Path
     """Path of the scene's folder with the photographs and the model."""
-    model: str = "sparse/0"
-    """Folder of the model within the scene's: cameras, images and points3D as .bin or .txt."""
+    model: str | None = None
+    """Folder of the model within the scene's: cameras, images and points3D as .bin or .txt. null finds it in
+    sparse, colmap/sparse, dense/sparse or the folder itself; of several, the one with most images."""
     downsample: int = Field(1, ge=1)
     """Factor by which each side of the full-size photographs is reduced for training."""
     max_size: int | None = Field(1600, ge=16)
@@ -39,27 +44,34 @@ class ColmapSettings(SplitSettings, ImageSourceSettings):
 
 
 class ColmapScene(SceneLoader[ColmapSettings]):
-    """Loader of COLMAP models. Photographs are undistorted; principal points stay off-centre."""
+    """Loader of COLMAP models. Photographs are undistorted; principal points stay off-centre.
 
-    recognized_by: ClassVar[str] = "sparse/0 with a COLMAP model"
+    A file `test.txt` beside the model, as the exporter `colmap` writes it, lists the test views, unless
+    `test_every` is given.
+    """
+
+    recognized_by: ClassVar[str] = "a COLMAP model, for example in sparse/0"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Return True if the folder contains a COLMAP model in sparse/0."""
-        return has_colmap_model(folder / "sparse" / "0")
+        """Return True if the folder contains a COLMAP model."""
+        return bool(colmap_models(folder))
 
     def load(self) -> Scene:
         """Return the scene.
 
         Raises:
-            SceneError: a missing, truncated or inconsistent file, an unknown camera model, or a photograph
-                that is missing or differs in shape from its camera.
+            SceneError: a missing, truncated or inconsistent file, an unknown camera model, a photograph that
+                differs in shape from its camera, or more than half of the photographs missing.
         """
         settings = self.settings
         folder = settings.path.expanduser()
-        model = read_colmap_model(inside(folder, settings.model, "the setting `model`"), _FIX)
-        train, test, rule = settings.split(len(model.images), str(folder))
-        all_photos = _photos(model, settings.image_folder(folder))
+        model = read_colmap_model(self._model_folder(folder), _FIX)
+        all_photos = _photos(model, self._image_folder(folder, model.folder))
+        kept = usable_photos(all_photos, str(model.folder))
+        names = [model.images[index][1].name for index in kept]
+        train, test, rule = self._split(names, model.folder)
+        train, test = [kept[k] for k in train], [kept[k] for k in test]
         photos = [all_photos[index] for index in train + test]
         loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
         points = None
@@ -68,13 +80,47 @@ class ColmapScene(SceneLoader[ColmapSettings]):
             tracks.check(len(model.images), str(model.folder))
             points = tracks.seen_by(train)
         bounds = estimate_bounds(loaded.training_cameras, points, str(folder))
-        facts = loaded.split_facts(rule, len(model.images))
+        facts = loaded.split_facts(rule, len(all_photos))
         return loaded.scene("colmap", folder, bounds, points, facts)
+
+    def _model_folder(self, folder: Path) -> Path:
+        """Return the folder of the model; of several, the one with most images, with a warning."""
+        if self.settings.model is not None:
+            return inside(folder, self.settings.model, "the setting `model`")
+        models = colmap_models(folder)
+        if not models:
+            return folder / "sparse" / "0"
+        counts = {model: count_images(model) for model in models}
+        chosen = max(models, key=lambda model: counts[model])
+        if others := [model for model in models if model != chosen and counts[model]]:
+            listed = ", ".join(f"{m.relative_to(folder)} ({counts[m]})" for m in others)
+            _log.warning(
+                "the model with most images is used: %s (%d); the others are not: %s. --set "
+                "scene.model=FOLDER chooses another",
+                *(chosen.relative_to(folder), counts[chosen], listed),
+            )
+        return chosen
+
+    def _image_folder(self, folder: Path, model: Path) -> Path:
+        """Return the folder of the photographs, in the scene's folder or beside the model, as in dense/0."""
+        places = [folder, *(place for place in model.parents if place.is_relative_to(folder))]
+        holders = [place for place in places if any(place.glob("images*/"))]
+        return self.settings.image_folder([*holders, folder][0])
+
+    def _split(self, names: list[str], model: Path) -> tuple[list[int], list[int], str]:
+        """Return the indices of training and test views among the sorted names, and the rule."""
+        listed = model / "test.txt"
+        if self.settings.test_every is not None or not listed.is_file():
+            return self.settings.split(len(names), str(model))
+        tested = {*listed.read_text("utf-8-sig").splitlines()}
+        test = [k for k, name in enumerate(names) if name in tested]
+        pool = [k for k in range(len(names)) if k not in test]
+        return self.settings.chosen(pool, str(listed)), test, "the file's, evenly spaced"
 
 
 def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
-    names = view_names([image.name for _, image in model.images])
+    names = view_names([image.name.replace("\\", "/") for _, image in model.images])
     return [
         PosedPhoto(
             name=name,

@@ -11,9 +11,10 @@ If photographs were removed from a capture, `split.json` next to the poses lists
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
@@ -40,8 +41,6 @@ from registry.toolkit.photos import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import numpy as np
     from numpy.typing import NDArray
 
@@ -73,11 +72,6 @@ class LLFFScene(SceneLoader[LLFFSettings]):
     def recognizes(cls, folder: Path) -> bool:
         """Return True if the folder contains poses_bounds.npy."""
         return (folder / "poses_bounds.npy").is_file()
-
-    @classmethod
-    def demo_settings(cls, folder: Path) -> Mapping[str, Any] | None:
-        """Three training views, if the folder has photographs at 1/8 size."""
-        return {"train_views": 3} if (folder / "images_8").is_dir() else None
 
     def load(self) -> Scene:
         """Return the scene.
@@ -125,10 +119,14 @@ def _image_of_each_row(folder: Path, images: Path, row_count: int) -> list[Path]
         listed = read_document(names, _Split, fix).all_names
         found = [inside(images, name, str(names)) for name in listed]
     if len(found) != row_count:
+        fix = "restore the missing images, or remove the rows of the missing images"
+        stems = Counter(path.stem for path in found)
+        if repeated := [path.name for path in found if stems[path.stem] > 1]:
+            fix = f"remove the copies of photographs with another suffix: {', '.join(repeated[:6])}"
         raise SceneError(
             f"there are {row_count} poses but {len(found)} images",
             where=f"{folder / 'poses_bounds.npy'} and {names if names.is_file() else images}",
-            fix="restore the missing images, or remove the rows of the missing images",
+            fix=fix,
         )
     return found
 

@@ -7,9 +7,11 @@ points of `ply_file_path` have it applied too.
 
 from __future__ import annotations
 
+import logging
+import math
 from collections import Counter
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
@@ -21,21 +23,24 @@ from registry.toolkit.photos import (
     Finite,
     Lens,
     LoadedPhotos,
-    Matrix4x4,
     MatrixRow,
     PosedPhoto,
+    PoseMatrix,
     ResizeFilter,
     SplitSettings,
     divided_by,
     estimate_bounds,
-    evenly_spaced,
+    find_image,
     inside,
     pose_from_opengl,
     read_document,
+    stored_size,
+    usable_photos,
     view_names,
 )
 
 _FIX = "write transforms.json as nerfstudio's ns-process-data does"
+_log = logging.getLogger("stereogs.photos")
 
 
 class NerfstudioSettings(SplitSettings):
@@ -77,7 +82,10 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         if not transforms.frames:
             raise SceneError("the camera file has no frame", where=str(path), fix=_FIX)
         all_photos = _photos(folder, path, transforms)
-        train, test, rule = self._split(transforms, str(path))
+        kept = usable_photos(all_photos, str(path))
+        names = [all_photos[index].path.relative_to(folder).as_posix() for index in kept]
+        train, test, rule = self._split(transforms, names, folder, str(path))
+        train, test = [kept[k] for k in train], [kept[k] for k in test]
         photos = [all_photos[index] for index in train + test]
         decoder = Decoder(
             divided_by(settings.downsample, settings.max_size), settings.resize_filter
@@ -89,32 +97,51 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         facts = (*loaded.split_facts(rule, len(all_photos)), seen_by)
         return loaded.scene("nerfstudio", folder, bounds, points, facts)
 
-    def _split(self, transforms: _Transforms, where: str) -> tuple[list[int], list[int], str]:
-        """Indices into the frames, sorted by file name, and the rule behind them."""
+    def _split(
+        self, transforms: _Transforms, names: list[str], folder: Path, where: str
+    ) -> tuple[list[int], list[int], str]:
+        """Return the indices of training and test views among the sorted names, and the rule.
+
+        The test views are those of `test_filenames`, else of `val_filenames`, else all that do not train.
+        """
         settings = self.settings
-        names = sorted(frame.file_path for frame in transforms.frames)
-        train_names, test_names = transforms.train_filenames, transforms.test_filenames
-        if train_names is None or test_names is None or settings.test_every == 0:
+        lists = {
+            kind: None if listed is None else [_relative(folder, name, where) for name in listed]
+            for kind, listed in transforms.split_lists.items()
+        }
+        if settings.test_every == 0 or not any(lists.values()):
             return settings.split(len(names), where)
-        index = {name: k for k, name in enumerate(names)}
-        listed = [*train_names, *test_names]
-        wrong = [f"{name!r}, which is not a frame" for name in listed if name not in index]
-        wrong += [f"{name!r} twice" for name, count in Counter(listed).items() if count > 1]
-        pool = [index[name] for name in train_names if name in index]
-        if wrong or (settings.train_views or 1) > len(pool):
-            raise SceneError(
-                f"the split lists {wrong[0]}"
-                if wrong
-                else f"`train_views` is {settings.train_views or 1}, but the file lists {len(pool)}",
-                where=where,
-                fix="correct train_filenames and test_filenames, or lower `train_views`",
-            )
-        train = evenly_spaced(sorted(pool), settings.train_views)
-        return train, [index[name] for name in test_names], "the file's, evenly spaced"
+        known = {_relative(folder, frame.file_path, where) for frame in transforms.frames}
+        for listed in filter(None, lists.values()):
+            wrong = [f"{name!r}, which is not a frame" for name in listed if name not in known]
+            wrong += [f"{name!r} twice" for name, count in Counter(listed).items() if count > 1]
+            if wrong:
+                fix = "correct the lists, or ignore them with `test_every: 0`"
+                raise SceneError(f"the split lists {wrong[0]}", where=where, fix=fix)
+        tested = lists["test"] if lists["test"] is not None else lists["val"]
+        trained = lists["train"]
+        if trained is None:
+            trained = [name for name in names if name not in (tested or ())]
+        if tested is None:
+            tested = [name for name in names if name not in trained]
+        if both := sorted({*trained} & {*tested}):
+            fix = "remove it from one of the lists"
+            raise SceneError(f"{both[0]!r} is a training and a test view", where=where, fix=fix)
+        index = {name: k for k, name in enumerate(names)}  # without those that are left out
+        train = settings.chosen(sorted(index[name] for name in trained if name in index), where)
+        test = [index[name] for name in tested if name in index]
+        _log.info("the file's split: %d photographs train, %d test", len(train), len(test))
+        return train, test, "the file's, evenly spaced"
 
 
 class _LensFields(pydantic.BaseModel):
-    camera_model: Literal["SIMPLE_PINHOLE", "PINHOLE", "OPENCV", "OPENCV_FISHEYE"] | None = None
+    camera_model: (
+        Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
+        | None
+    ) = None
+    is_fisheye: bool | None = None
+    camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)] | None = None
+    camera_angle_y: Annotated[Finite, Field(gt=0, lt=math.pi)] | None = None
     fl_x: Finite | None = None
     fl_y: Finite | None = None
     cx: Finite | None = None
@@ -131,30 +158,44 @@ class _LensFields(pydantic.BaseModel):
 
 class _Frame(_LensFields):
     file_path: str
-    transform_matrix: Matrix4x4
+    transform_matrix: PoseMatrix
     mask_path: str | None = None
 
 
 class _Transforms(_LensFields):
     frames: tuple[_Frame, ...]
     train_filenames: tuple[str, ...] | None = None
+    val_filenames: tuple[str, ...] | None = None
     test_filenames: tuple[str, ...] | None = None
     ply_file_path: str | None = None
     applied_transform: tuple[MatrixRow, MatrixRow, MatrixRow] | None = None
 
+    @property
+    def split_lists(self) -> dict[str, tuple[str, ...] | None]:
+        """The lists of file names by split; None for those that the file lacks."""
+        return {
+            "train": self.train_filenames,
+            "val": self.val_filenames,
+            "test": self.test_filenames,
+        }
 
-def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
-    """Lens of a frame; raise SceneError if a focal length or size is missing, or k4 is ambiguous."""
+
+def _lens_of(frame: _Frame, transforms: _Transforms, photo: Path, where: str) -> Lens:
+    """Return the lens of a frame; its size is the photograph's if the file has none.
+
+    Raises:
+        SceneError: the focal length is missing, or k4 is ambiguous.
+    """
 
     def given(name: str) -> float | None:
         value = getattr(frame, name)
         found: float | None = getattr(transforms, name) if value is None else value
         return found
 
-    def needed(name: str) -> float:
-        value = given(name)
-        if value is None:
-            raise SceneError(f"the field {name!r} is missing", where=where, fix=_FIX)
+    def focal(name: str, angle: str, side: float) -> float | None:
+        value, field_of_view = given(name), given(angle)
+        if value is None and field_of_view is not None:
+            return side / 2 / math.tan(field_of_view / 2)
         return value
 
     def coefficients(*names: str) -> tuple[float, ...]:
@@ -163,9 +204,10 @@ def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
     model: Distortion = "PINHOLE"
     distortion: tuple[float, ...] = ()
     kind = frame.camera_model or transforms.camera_model
-    if kind == "OPENCV_FISHEYE":
+    # instant-ngp writes no model, but whether the lens is a fisheye.
+    if kind == "OPENCV_FISHEYE" or (kind is None and (frame.is_fisheye or transforms.is_fisheye)):
         model, distortion = "OPENCV_FISHEYE", coefficients("k1", "k2", "k3", "k4")
-    elif kind in (None, "OPENCV"):
+    else:  # nerfstudio applies coefficients whatever the name of the model
         if given("k4"):
             raise SceneError(
                 "k4 is not 0: nerfstudio multiplies it by the eighth power of the radius, OpenCV uses it in "
@@ -175,8 +217,14 @@ def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
             )
         model = "FULL_OPENCV"
         distortion = (*coefficients("k1", "k2", "p1", "p2", "k3"), 0.0, 0.0, 0.0)
-    focal_x, width, height = needed("fl_x"), needed("w"), needed("h")
-    focal_y, cx, cy = given("fl_y"), given("cx"), given("cy")
+    width, height, cx, cy = (given(name) for name in ("w", "h", "cx", "cy"))
+    if width is None or height is None:
+        width, height = stored_size(find_image(photo))
+    focal_x = focal("fl_x", "camera_angle_x", width)
+    focal_y = focal("fl_y", "camera_angle_y", height)
+    if focal_x is None:
+        what = "the focal length is missing: neither 'fl_x' nor 'camera_angle_x' is given"
+        raise SceneError(what, where=where, fix=_FIX)
     return Lens(
         fx=focal_x,
         fy=focal_x if focal_y is None else focal_y,
@@ -189,19 +237,29 @@ def _lens_of(frame: _Frame, transforms: _Transforms, where: str) -> Lens:
     )
 
 
+def _relative(folder: Path, name: str, where: str) -> str:
+    """Return the file's path within the folder: `images/a.png` for `./images/a.png`."""
+    return inside(folder, name, where).relative_to(folder).as_posix()
+
+
 def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhoto]:
-    """Photographs of all frames, sorted by file name."""
-    frames = sorted(enumerate(transforms.frames), key=lambda item: item[1].file_path)
-    names = view_names([frame.file_path for _, frame in frames])
+    """Return the photographs of all frames, sorted by file name."""
+    relative = [
+        _relative(folder, frame.file_path, f"{path}, frame {index}")
+        for index, frame in enumerate(transforms.frames)
+    ]
+    order = sorted(range(len(relative)), key=lambda index: relative[index])
+    names = view_names([relative[index] for index in order])
     photos = []
-    for (index, frame), name in zip(frames, names, strict=True):
-        where = f"{path}, frame {index}"
+    for index, name in zip(order, names, strict=True):
+        frame, where = transforms.frames[index], f"{path}, frame {index}"
+        file = folder / relative[index]
         photos.append(
             PosedPhoto(
                 name=name,
-                path=inside(folder, frame.file_path, where),
+                path=file,
                 world_to_camera=pose_from_opengl(frame.transform_matrix, where),
-                lens=_lens_of(frame, transforms, where),
+                lens=_lens_of(frame, transforms, file, where),
                 where=where,
                 mask=inside(folder, frame.mask_path, where) if frame.mask_path else None,
             )

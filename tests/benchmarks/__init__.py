@@ -1,0 +1,1 @@
+"""Tests of `benchmarks`, which import its modules."""

@@ -1,18 +1,13 @@
-"""The methods campaign: its plan, the record of a training, and the tables."""
+"""The methods campaign: its plan and its tables."""
 
 from __future__ import annotations
 
-import io
-import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
-from rich.console import Console
 
-from benchmarks import methods_page, training_process, training_records, trainings
+from benchmarks import methods_page, records
 from benchmarks.cells import NONE
 from benchmarks.methods_plan import (
     AUTHORS_SETTINGS,
@@ -20,60 +15,17 @@ from benchmarks.methods_plan import (
     GROUPS,
     METHODS,
     NETWORKED,
-    Method,
-    MethodRun,
-    Points,
     planned_run,
     planned_runs,
 )
-from benchmarks.results_plan import Case
-from benchmarks.training_records import Record
-from registry import RunError
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline
-from stereogs.session import build_pipeline
+from stereogs import Pipeline
+from tests.benchmarks.made import record, row_of, rows_of
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 FACING, OBJECTS = GROUPS
-FERN, _ = FACING.cases
-ROOM = Case("room", 3, "", ())
-TINY = """\
-name: tiny
-scene: {{use: procedural, width: 48, height: 36, test_views: 2, points: 100}}
-initializer: sfm
-metrics: {metrics}
-training: {{iterations: 4, sh_degree: 0}}
-"""
-
-
-@pytest.fixture(autouse=True)
-def _folders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_DATA", "data")
-    monkeypatch.setenv("STEREOGS_MODELS", "models")
-
-
-def tiny(place: Path, metrics: str = "[psnr, ssim]") -> Path:
-    file = place / training_process.PIPELINE
-    file.write_text(TINY.format(metrics=metrics), "utf-8")
-    return file
-
-
-def run_of(file: Path, seed: int = 0) -> MethodRun:
-    return MethodRun(Method("Tiny", file), "own", ROOM, seed, build_pipeline(file), "0123456789")
-
-
-def record(
-    method: Method, case: Case, seed: int, psnr: float, points: Points = "own"
-) -> Record[MethodRun]:
-    run = MethodRun(method, points, case, seed, None, "")  # type: ignore[arg-type]
-    measured: dict[str, Any] = {
-        "scores": {"psnr": psnr, "ssim": 0.5, "lpips": 0.25, "avge": 0.125},
-        "gaussians": 12_345,
-        "cpu_seconds": 67.8,
-        "peak_memory_mb": 910,
-        "device": {"name": "a processor"},
-    }
-    return Record(run, measured)
+FERN, FLOWER = FACING.cases
+DROPGAUSSIAN = next(method for method in METHODS if method.paper == "dropgaussian")
 
 
 def test_runs_are_sorted_by_seed_and_networks_come_last() -> None:
@@ -103,7 +55,7 @@ def test_objects_have_one_seed_and_precede_the_second() -> None:
 def test_every_first_seed_has_a_record_of_its_pipeline() -> None:
     groups = [replace(group, seeds=group.seeds[:1]) for group in GROUPS]
     runs = planned_runs(METHODS, groups, PLUGINS)
-    recorded = training_records.read(runs, training_records.RECORDS / "methods.jsonl")
+    recorded = records.read(runs, records.RECORDS / "methods.jsonl")
     assert [record.run.name for record in recorded] == [run.name for run in runs]
 
 
@@ -154,75 +106,11 @@ def test_the_digest_does_not_depend_on_the_location_of_the_data(
     assert planned_run(BASELINE, "own", FERN, 1, PLUGINS).digest != here.digest
 
 
-def trained(run: MethodRun, place: Path, seconds: float | None) -> dict[str, str]:
-    return trainings.train(
-        [[run]],
-        jobs=1,
-        seconds=seconds,
-        device=None,
-        out=place / "out",
-        kept=place / "records.jsonl",
-        console=Console(file=io.StringIO()),
-    )
-
-
-def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
-    run = run_of(tiny(tmp_path))
-    assert trained(run, tmp_path, None) == {}
-    (record,) = training_records.read([run], tmp_path / "records.jsonl")
-    found = record.measured
-    assert set(record.scores) == {"psnr", "ssim"}
-    assert len(found["views"]) == 2  # the test views, and no others
-    assert found["gaussians"] == found["initial_points"] == 100
-    assert found["points"] == "own"
-    assert found["iterations"] == 4
-    assert found["cpu_seconds"] > 0
-    assert len(found["hash"]) == 64
-    assert "processor_model" in found
-    assert {"torch", "stereogs-plugins"} <= set(found["packages"])
-    assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
-
-
-def test_a_missing_score_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("STEREOGS_MODELS")
-    monkeypatch.setattr(sys, "argv", ["", str(tiny(tmp_path, "[lpips]").parent)])
-    with pytest.raises(SystemExit) as ended:
-        training_process.main()
-    message = trainings.failure(f"0.01 it/s\n{ended.value}\n")
-    assert message.startswith("a score is missing")
-    assert "set STEREOGS_MODELS" in message
-    assert not (tmp_path / training_process.ANSWER).exists()
-
-
-def test_an_unexplained_error_is_shown() -> None:
-    assert trainings.failure("Traceback\nKeyError: 'x'\n") == "Traceback\nKeyError: 'x'"
-
-
-def test_no_training_starts_after_the_time_limit(tmp_path: Path) -> None:
-    assert trained(run_of(tiny(tmp_path)), tmp_path, 0) == {}
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_record_of_another_pipeline_is_skipped(tmp_path: Path) -> None:
-    run = run_of(tiny(tmp_path))
-    file = tmp_path / "records.jsonl"
-    training_records.save(run, {"scores": {"psnr": 20.0}}, file)
-    assert [one.scores["psnr"] for one in training_records.read([run], file)] == [20.0]
-    changed = MethodRun(run.method, "own", ROOM, 0, run.pipeline, "another")
-    assert training_records.read([changed], file) == []
-    file.write_text("[]", "utf-8")
-    with pytest.raises(RunError, match="cannot be read"):
-        training_records.read([run], file)
-
-
 def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
-    dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
-    records = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
-    records += [record(dropgaussian, FERN, seed, 20.0 + seed) for seed in FACING.seeds]
-    text = methods_page.tables(records, 279)
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    (base,) = [row for row in rows if row and row[0] == "3DGS"]
-    (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
+    found = [record(BASELINE, case, 0, 16.0) for case in FACING.cases]
+    found += [record(DROPGAUSSIAN, FERN, seed, 20.0 + seed) for seed in FACING.seeds]
+    text = methods_page.tables(found, 279)
+    base, ours = row_of(text, "3DGS"), row_of(text, "DropGaussian")
     assert base[1:8] == ["1 + 1", "16.00", "16.00", "16.00", NONE, "0.500", "0.250"]
     assert base[8:13] == ["0.125", "12,345", "68", NONE, "910"]
     assert base[13:] == ["16.02", "0.465", "0.378"]
@@ -235,51 +123,44 @@ def test_the_page_shows_means_spreads_and_the_papers_numbers() -> None:
 
 
 def test_objects_have_one_published_metric_of_each_protocol() -> None:
-    dropgaussian = next(method for method in METHODS if method.paper == "dropgaussian")
-    records = [record(BASELINE, case, 0, 15.0, "same") for case in OBJECTS.cases]
-    records += [record(dropgaussian, case, 0, 17.5, "same") for case in OBJECTS.cases]
-    text = methods_page.tables(records, 279)
+    found = [
+        record(method, case, 0, psnr, "same")
+        for method, psnr in ((BASELINE, 15.0), (DROPGAUSSIAN, 17.5))
+        for case in OBJECTS.cases
+    ]
+    text = methods_page.tables(found, 279)
     assert "## Same points around objects" in text
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    (heads,) = [row for row in rows if row and row[0] == "method"]
+    heads, ours = row_of(text, "method"), row_of(text, "DropGaussian")
     assert heads[2:7] == ["dtu_scan24", "dtu_scan65", "blender_lego", "mean", "to 3DGS"]
     assert heads[-2:] == ["paper: dtu-3", "paper: blender-8"]
-    (ours,) = [row for row in rows if row and row[0] == "DropGaussian"]
     assert ours[1:7] == ["1 + 1 + 1", "17.50", "17.50", "17.50", "17.50", "+2.50 ± 0.00"]
     assert ours[-2:] == [NONE, "24.42"]
-    heads, _, base, ours = methods_page.summary(records).splitlines()
-    assert heads.count("paper") == 3
-    assert base == (f"| 3DGS | {NONE} | {NONE} | 16.02 | 15.00 | 10.99 | 15.00 | 23.20 | {NONE} |")
-    assert ours == (
-        f"| DropGaussian | {NONE} | {NONE} | 20.76 | 17.50 | {NONE} | 17.50 | 24.42 | {NONE} |"
-    )
+    heads, _, base, ours = rows_of(methods_page.summary(found))
+    assert sum("paper" in heading for heading in heads) == 3
+    assert base[1:] == [NONE, NONE, "16.02", "15.00", "10.99", "15.00", "23.20", NONE]
+    assert ours[1:] == [NONE, NONE, "20.76", "17.50", NONE, "17.50", "24.42", NONE]
 
 
 def test_seconds_are_of_one_machine_and_ratios_of_each() -> None:
     """Two machines, of which one is three times as fast and trained the flower."""
-    fast = {"device": {"name": "pthread-a processor"}, "processor_model": "family 26"}
-
-    def timed(
-        method: Method, case: Case, seed: int, seconds: float, **machine: object
-    ) -> Record[MethodRun]:
-        one = record(method, case, seed, 20.0)
-        return replace(one, measured=one.measured | machine | {"cpu_seconds": seconds})
-
-    fern, flower = FACING.cases
     other, alone = METHODS[1:3]
-    records = [
-        timed(BASELINE, fern, 0, 60),
-        timed(BASELINE, flower, 0, 20, **fast),
-        timed(other, fern, 0, 110),
-        timed(other, fern, 1, 130),
-        timed(other, flower, 0, 160, **fast),
-        timed(alone, flower, 1, 90),
+    fast = {"device": {"name": "pthread-a processor"}, "processor_model": "family 26"}
+    seconds = [
+        (BASELINE, FERN, 0, 60.0, {}),
+        (BASELINE, FLOWER, 0, 20.0, fast),
+        (other, FERN, 0, 110.0, {}),
+        (other, FERN, 1, 130.0, {}),
+        (other, FLOWER, 0, 160.0, fast),
+        (alone, FLOWER, 1, 90.0, {}),
     ]
-    text = methods_page.tables(records, 279)
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    (heads,) = [row for row in rows if row and row[0] == "method"]
+    found = [
+        record(method, case, seed, 20.0, cpu_seconds=took, **machine)
+        for method, case, seed, took, machine in seconds
+    ]
+    text = methods_page.tables(found, 279)
+    heads = row_of(text, "method")
     assert heads[9:13] == ["Gaussians", "CPU s, a processor", "CPU / 3DGS", "MB"]
-    times = {row[0]: row[10:12] for row in rows if row}
+    times = {row[0]: row[10:12] for row in rows_of(text)}
     assert times[BASELINE.title] == ["60", NONE]
     assert times[other.title] == ["120", "4.0"]  # twice on fern, eight times on flower
     assert times[alone.title] == ["90", NONE]  # 3DGS was not trained on flower there

@@ -1,40 +1,31 @@
-"""The parts campaign: its plan, groups of runs that share a process, and the tables."""
+"""The parts campaign: its plan and the tables."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from benchmarks.branches import shared_iterations
 from benchmarks.cells import NONE
 from benchmarks.parts_page import tables
 from benchmarks.parts_plan import (
     EIGHT,
-    LATE,
     NOTHING,
     OBJECTS,
     TABLES,
     TERM_TABLE,
-    PartsRun,
+    PartsTraining,
     planned_runs,
-    shared_groups,
 )
-from benchmarks.training_records import Record
-from registry.discovery import Plugins
+from benchmarks.records import Record
+from tests.benchmarks.made import MEASURED, SCORES, rows_of
+from tests.host import Plugins
 
 PLUGINS = Plugins()
 ALL = "initializer, stereo_depth, opacity"
 
 
-@pytest.fixture(autouse=True)
-def _folders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_DATA", "data")
-    monkeypatch.setenv("STEREOGS_MODELS", "models")
-
-
-def labels(run: PartsRun) -> dict[str, str]:
+def labels(run: PartsTraining) -> dict[str, str]:
     return {row.table: row.label for row in run.rows}
 
 
@@ -70,33 +61,6 @@ def test_runs_are_sorted_by_seed() -> None:
     assert eight.count(0) == eight.count(1) == 8 * len(EIGHT.cases)
 
 
-def test_runs_of_one_process_share_their_first_iterations() -> None:
-    runs = planned_runs(TABLES, PLUGINS, seeds=(0, 1))
-    groups = shared_groups(runs)
-    assert sorted(run.name for group in groups for run in group) == sorted(run.name for run in runs)
-    for group in groups:
-        assert len({(run.case.data, run.seed) for run in group}) == 1
-        if len(group) > 1:
-            whole = group[0].pipeline.training.iterations
-            assert shared_iterations([run.pipeline for run in group]) > 0.6 * whole
-    largest = max(groups, key=len)
-    assert {labels(run).get(EIGHT.title) for run in largest} >= {"initializer, opacity", ALL}
-    alone = [
-        group for group in groups if labels(group[0]).get(TERM_TABLE.title, "").startswith("from a")
-    ]
-    assert alone
-    assert all(len(group) == 1 for group in alone)
-
-
-def test_runs_of_a_group_differ_in_late_items_only() -> None:
-    for group in shared_groups(planned_runs([EIGHT, TERM_TABLE], PLUGINS, seeds=(0,))):
-        first, *others = (
-            {item.qualified_name: item for item in run.pipeline if item.qualified_name not in LATE}
-            for run in group
-        )
-        assert all(other == first for other in others)
-
-
 def test_the_digest_does_not_depend_on_the_location_of_the_data(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -106,53 +70,37 @@ def test_the_digest_does_not_depend_on_the_location_of_the_data(
     (there, *_) = planned_runs([EIGHT], PLUGINS, seeds=(0,))
     assert here.pipeline.to_yaml() != there.pipeline.to_yaml()
     assert here.digest == there.digest
-    assert here.trunk == there.trunk
 
 
-def records_of(psnr: dict[str, float]) -> list[Record[PartsRun]]:
+def records_of(psnr: dict[str, float]) -> list[Record[PartsTraining]]:
     """A record of each row of the first two tables that has a number; seeds shift it."""
-    measured: dict[str, Any] = {
-        "gaussians": 12_345,
-        "seconds": 100.0,
-        "device": {"name": "a processor"},
+    term = {
+        "stereo_depth_inferences": 12.0,
+        "stereo_depth_seconds": 10.0,
+        "stereo_depth_baseline": 5.0,
     }
-    without_stereo, with_stereo = (
-        {},
-        {
-            "stereo_depth_inferences": 12.0,
-            "stereo_depth_seconds": 10.0,
-            "stereo_depth_baseline": 5.0,
-        },
-    )
     found = []
     for run in planned_runs([EIGHT, TERM_TABLE, OBJECTS], PLUGINS):
         label = labels(run).get(EIGHT.title) or labels(run).get(TERM_TABLE.title)
         if label in psnr:
-            scores = {
-                "psnr": psnr[label] + run.seed,
-                "ssim": 0.5,
-                "lpips": 0.25,
-                "lpips_alex": 0.125,
-                "avge": 0.0625,
-            }
-            logged = with_stereo if run.parts_at else without_stereo
-            found.append(Record(run, measured | {"scores": scores, "logged": logged}))
+            scores = {"psnr": psnr[label] + run.seed, **SCORES, "lpips_alex": 0.0625}
+            names = [item.name for item in run.pipeline.items["regularizers"]]
+            logged = term if "stereo_depth" in names else {}
+            found.append(Record(run, {**MEASURED, "scores": scores, "logged": logged}))
     return found
 
 
-def rows_of(text: str, heading: str) -> list[list[str]]:
-    part = text.split(f"## {heading}\n")[1].split("##")[0]
-    lines = [line for line in part.splitlines() if line.startswith("|")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+def lines_of(text: str, heading: str) -> list[list[str]]:
+    return rows_of(text.split(f"## {heading}\n")[1].split("##")[0])[2:]
 
 
 def test_tables_show_means_differences_and_the_papers_numbers() -> None:
     text = tables(records_of({NOTHING: 18.0, "initializer, opacity": 20.5, ALL: 20.75}), 99)
-    nothing, both, whole = rows_of(text, EIGHT.title)
+    nothing, both, whole = lines_of(text, EIGHT.title)
     assert nothing[:7] == ["✗", "✗", "✗", "3 + 3", "19.00 ± 1.00", "19.00 ± 1.00", NONE]
     assert both[:3] == ["✓", "✗", "✓"]
-    assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.125", "0.062", "12,345", "21.91"]
-    parts = {(row[0], row[1]): row[2:] for row in rows_of(text, "Gain of each part")}
+    assert whole[6:] == ["+2.75 ± 0.00", "0.500", "0.250", "0.062", "0.125", "12,345", "21.91"]
+    parts = {(row[0], row[1]): row[2:] for row in lines_of(text, "Gain of each part")}
     assert parts["stereo depth", "dense points and decay"] == ["+0.25 ± 0.00", NONE, "+0.73"]
     assert parts["decay", NOTHING] == [NONE, NONE, "+2.16"]
     assert "18 of 99 runs, on a processor" in text
@@ -162,7 +110,7 @@ def test_tables_show_means_differences_and_the_papers_numbers() -> None:
 
 def test_the_stereo_term_is_shown_with_its_inferences() -> None:
     text = tables(records_of({"initializer, opacity": 20.5, ALL: 20.75, "sgm": 20.25}), 99)
-    none, sgm, paper = rows_of(text, TERM_TABLE.title)
+    none, sgm, paper = lines_of(text, TERM_TABLE.title)
     assert none[:5] == ["none", "3 + 3", "21.50 ± 1.00", "21.50 ± 1.00", NONE]
     assert none[-2:] == [NONE, NONE]
     assert sgm[0] == "sgm"

@@ -1,54 +1,32 @@
-"""The results campaign: its plan, and the tables and picture of real trainings."""
+"""The results campaign: its plan, and the tables and picture of real trainings; what all campaigns do."""
 
 from __future__ import annotations
 
-import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from PIL import Image
-from rich.console import Console
 
-from benchmarks import campaigns, error_report, priors, skips, trainings, where_seconds_go
-from benchmarks.campaign import Campaign, one_by_one
+from benchmarks import campaign, campaigns, error_report, priors, records, where_seconds_go
+from benchmarks.campaign import Campaign
 from benchmarks.pages import DOCS, marks, rewrite
-from benchmarks.results_page import Record, summary, tables
+from benchmarks.records import RECORDS, Record, read, save
+from benchmarks.results_page import summary, tables
 from benchmarks.results_picture import PICTURE, draw_first_views
-from benchmarks.results_plan import (
-    CASES,
-    LPIPS,
-    LPIPS_SEED,
-    METHODS,
-    SEEDS,
-    Case,
-    Measurement,
-    Method,
-    make_measurements,
-)
-from benchmarks.training_records import RECORDS, read, save
+from benchmarks.results_plan import CASES, LPIPS_SEED, METHODS, planned_runs
+from benchmarks.trainings import SEEDS, VGG, Case, Method, Training
 from registry import RunError
-from registry.discovery import Plugins
-from registry.system.lock import locked
+from tests.benchmarks.made import ROOM, row_of, tiny, train
+from tests.host import Plugins, locked
 
-ROOM = Case(
-    "room", 3, "", ("scene={use: procedural, width: 48, height: 36, test_views: 2, points: 100}",)
-)
 SEED = LPIPS_SEED + 1
-MARKS = BEGIN, END = marks("results")
-TINY = """\
-name: {name}
-scene: procedural
-initializer: {initializer}
-metrics: [psnr, ssim]
-training: {{iterations: 4, sh_degree: 0}}
-"""
+Records = list[Record[Training]]
 
 
-def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_DATA", "data")
-    monkeypatch.setenv("STEREOGS_MODELS", "models")
-    planned = make_measurements(CASES, METHODS, SEEDS, Plugins())
+def test_every_data_set_is_planned_by_its_protocol() -> None:
+    planned = planned_runs(CASES, METHODS, SEEDS, Plugins())
     assert [m.seed for m in planned] == sorted(m.seed for m in planned)
     views = {"llff_fern": (3, 6, 9), "llff_flower": (3, 6, 9), "blender_lego": (8,)}
     views |= {"llff_fortress": (3, 6, 9), "llff_room": (3, 6, 9), "dtu_scan114": (3, 6, 9)}
@@ -72,7 +50,7 @@ def test_every_data_set_is_planned_by_its_protocol(monkeypatch: pytest.MonkeyPat
             assert scene.settings.model_dump()["train_views"] == measurement.case.views
         assert Path(scene.settings.model_dump()["path"]) == Path("data", measurement.case.data)
         metrics = {item.name for item in pipeline.items["metrics"]}
-        assert (LPIPS in metrics - set(measurement.without)) == (measurement.seed == LPIPS_SEED)
+        assert (VGG in metrics - set(measurement.without)) == (measurement.seed == LPIPS_SEED)
     assert len({m.digest for m in planned}) == len({m.name for m in planned}) == len(planned)
     # If this fails, train the changed pipelines again, or rewrite the digests of records whose
     # settings did not change.
@@ -97,122 +75,93 @@ def test_missing_data_is_reported_before_training(
         campaigns.RESULTS.main(None)
 
 
-def train(planned: list[Measurement], place: Path) -> dict[str, str]:
-    return trainings.train(
-        one_by_one(planned),
-        jobs=2,
-        seconds=None,
-        device=None,
-        out=place / "out",
-        kept=place / "records.jsonl",
-        console=Console(file=io.StringIO()),
-    )
-
-
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Record], Path]:
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Records, Path]:
     """Two real pipelines, trained on the procedural room, and the folder of their pictures."""
     place = tmp_path_factory.mktemp("results")
-    methods = []
-    for name, initializer in (("plain", "random"), ("better", "sfm")):
-        file = place / f"{name}.yaml"
-        file.write_text(TINY.format(name=name, initializer=initializer))
-        methods.append(Method(name, file, baseline=name == "plain"))
-    planned = make_measurements([ROOM], methods, [SEED], Plugins())
-    assert train(planned, place) == {}
-    return read(planned, place / "records.jsonl"), place / "out"
+    methods = [
+        Method(name, tiny(place, name, start, "[psnr, ssim]"), baseline=name == "plain")
+        for name, start in (("plain", "random"), ("better", "sfm"))
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("STEREOGS_PLUGINS", raising=False)
+        found, errors = train(planned_runs([ROOM], methods, [SEED], Plugins()), place)
+    assert errors == []
+    return found, place / "out"
 
 
-def row_of(text: str, first: str) -> list[str]:
-    line = next(line for line in text.splitlines() if line.startswith(f"| {first} |"))
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[list[Record], Path]) -> None:
-    records, _ = measured
-    plain, better = records
-    text = tables(records, 5)
+def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[Records, Path]) -> None:
+    found, _ = measured
+    plain, better = found
+    text = tables(found, 5)
     colours, rest = text.split("## Perceptual scores")
-    psnr = [f"{record.scores['psnr']:.2f}" for record in records]
+    psnr = [f"{record.scores['psnr']:.2f}" for record in found]
     gain = f"{better.scores['psnr'] - plain.scores['psnr']:+.2f}"
-    ssim = [f"{record.scores['ssim']:.3f}" for record in records]
+    ssim = [f"{record.scores['ssim']:.3f}" for record in found]
     assert row_of(colours, "room")[1:] == ["3", "1", *psnr, gain, *ssim]
-    costs = [f"{record.measured[name]:,.0f}" for name in _COSTS for record in records]
+    names = ("gaussians", "cpu_seconds", "peak_memory_mb")
+    costs = [f"{record.measured[name]:,.0f}" for name in names for record in found]
     assert row_of(rest, "room")[1:] == ["3", "1", *["\u2013"] * 4, *costs]
     assert "initial points by `random`" in text
     assert "initial points by `sfm`" in text
     assert "at 48x36, 2 test views" in text
 
 
-_COSTS = ("gaussians", "cpu_seconds", "peak_memory_mb")
-
-
 def test_the_picture_shows_photographs_and_present_renders(
-    measured: tuple[list[Record], Path], tmp_path: Path
+    measured: tuple[Records, Path], tmp_path: Path
 ) -> None:
-    records, out = measured
-    draw_first_views(records, out)
+    found, out = measured
+    draw_first_views(found, out)
     assert (out / PICTURE).stat().st_size <= 400_000
     with Image.open(out / PICTURE) as sheet:
         assert sheet.format == "JPEG"
         assert sheet.width > 3 * 48
-    draw_first_views(records, tmp_path)
+    draw_first_views(found, tmp_path)
     assert not (tmp_path / PICTURE).exists()
 
 
 def test_data_sets_of_one_protocol_and_several_seeds_are_averaged(
-    measured: tuple[list[Record], Path],
+    measured: tuple[Records, Path],
 ) -> None:
     plain, better = measured[0]
 
-    def moved(record: Record, case: Case, seed: int, psnr: float) -> Record:
-        run = record.run
-        other = Measurement(case, run.method, seed, run.pipeline, run.digest)
-        return Record(other, record.measured | {"scores": {"psnr": psnr, "ssim": 0.5}})
+    def moved(record: Record[Training], case: Case, seed: int, psnr: float) -> Record[Training]:
+        run = replace(record.run, case=case, seed=seed)
+        return Record(run, record.measured | {"scores": {"psnr": psnr, "ssim": 0.5}})
 
     room, den = Case("room", 3, "house-3", ()), Case("den", 3, "house-3", ())
-    records = [moved(plain, room, seed, 10) for seed in SEEDS]
-    records += [moved(better, room, seed, 12 + seed) for seed in SEEDS]
-    records += [moved(better, den, 0, 21)]
-    text = tables(records, 5)
+    found = [moved(plain, room, seed, 10) for seed in SEEDS]
+    found += [moved(better, room, seed, 12 + seed) for seed in SEEDS]
+    found += [moved(better, den, 0, 21)]
+    text = tables(found, 5)
     # Differences 2, 3, 4: Student's t for two degrees of freedom, 4.303, times 1 / sqrt(3).
-    assert row_of(text, "room")[1:6] == ["3", "3", "10.00 ± 0.00", "13.00 ± 1.00", "+3.00 ± 2.48"]
-    mean = row_of(text, "**mean of house-3**")
+    averaged = text.split("## Perceptual scores")[0]
+    assert row_of(averaged, "room")[1:6] == [
+        "3",
+        "3",
+        "10.00 ± 0.00",
+        "13.00 ± 1.00",
+        "+3.00 ± 2.48",
+    ]
+    mean = row_of(averaged, "**mean of house-3**")
     assert mean[3:6] == ["**\u2013**", "**17.00**", "**+3.00 ± 2.48**"]
-    assert row_of(summary(records), "house-3")[1:3] == ["\u2013", "17.00"]
+    assert row_of(summary(found), "house-3")[1:3] == ["\u2013", "17.00"]
 
 
 def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    page.write_text(f"# Ours\n\nWhy.\n\n{BEGIN}\nold numbers\n{END}\n\nWhat we saw.\n", "utf-8")
-    rewrite(page, MARKS, "new numbers")
+    page, (begin, end) = tmp_path / "results.md", marks("results")
+    page.write_text(f"# Ours\n\nWhy.\n\n{begin}\nold numbers\n{end}\n\nWhat we saw.\n", "utf-8")
+    rewrite(page, marks("results"), "new numbers")
     text = page.read_text("utf-8")
-    assert text == f"# Ours\n\nWhy.\n\n{BEGIN}\n\nnew numbers\n{END}\n\nWhat we saw.\n"
+    assert text == f"# Ours\n\nWhy.\n\n{begin}\n\nnew numbers\n{end}\n\nWhat we saw.\n"
     page.write_text("# No marks\n", "utf-8")
     with pytest.raises(RunError, match="lacks the marks"):
-        rewrite(page, MARKS, "new numbers")
+        rewrite(page, marks("results"), "new numbers")
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-def test_a_failed_run_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "broken.yaml"
-    broken = "{use: ply, path: missing.ply}"
-    file.write_text(TINY.format(name="broken", initializer=broken))
-    planned = make_measurements([ROOM], [Method("broken", file)], [SEED], Plugins())
-    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path / "out")
-    monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path / "records")
-    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["tiny"])
-    campaign = Campaign("tiny", "Tiny", [], lambda _: planned, "x.md", summary, tables)
-    with pytest.raises(SystemExit, match=r"1 runs failed(.|\n)*missing\.ply"):
-        campaign.main(None)
-    assert "1 runs, 1 to train" in capsys.readouterr().out
-
-
-PAGES = {one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
-PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, skips, where_seconds_go)}
+PAGES = {one.target or one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
+PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, where_seconds_go)}
 
 
 @pytest.mark.parametrize("target", PAGES)
@@ -223,32 +172,45 @@ def test_a_page_has_its_marks(target: str) -> None:
     assert text.index(begin) < text.index(end)
 
 
+def campaign_of(
+    runs: list[Training], place: Path, monkeypatch: pytest.MonkeyPatch, *options: str
+) -> Campaign[Training]:
+    """Return a campaign whose command has these options and writes into a folder."""
+    monkeypatch.setattr(campaign, "OUT", place / "out")
+    monkeypatch.setattr(campaign, "DOCS", place)
+    monkeypatch.setattr("benchmarks.pages.TABLES", place / "tables")
+    monkeypatch.setattr(records, "RECORDS", place / "records")
+    monkeypatch.setenv("STEREOGS_DATA", str(place))
+    monkeypatch.setattr(sys, "argv", ["results", *options])
+    return Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
+
+
+def test_a_failed_run_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = Method("broken", tiny(tmp_path, "broken", "{use: ply, path: missing.ply}"))
+    made = campaign_of(planned_runs([ROOM], [broken], [SEED], Plugins()), tmp_path, monkeypatch)
+    with pytest.raises(SystemExit, match=r"1 runs failed(.|\n)*missing\.ply"):
+        made.main(None)
+    assert "1 runs, 1 to train" in capsys.readouterr().out
+
+
 def test_write_docs_writes_all_tables_and_the_summary(
-    measured: tuple[list[Record], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    measured: tuple[Records, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found, _ = measured
-    kept, page = tmp_path / "results.jsonl", tmp_path / "x.md"
+    runs, page, (begin, end) = [record.run for record in found], tmp_path / "x.md", marks("results")
+    page.write_text(f"# Page\n\n{begin}\n{end}\n", "utf-8")
+    made = campaign_of(runs, tmp_path, monkeypatch, "--write-docs")
     for record in found:
-        identity = record.run.identity
-        save(record.run, {k: v for k, v in record.measured.items() if k not in identity}, kept)
-    page.write_text(f"# Page\n\n{BEGIN}\n{END}\n", "utf-8")
-    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path / "out")
-    monkeypatch.setattr("benchmarks.campaign.DOCS", tmp_path)
-    monkeypatch.setattr("benchmarks.pages.TABLES", tmp_path / "tables")
-    monkeypatch.setattr("benchmarks.training_records.RECORDS", tmp_path)
-    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["results", "--write-docs"])
-    runs = [record.run for record in found]
-    campaign = Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
-    assert campaign.main(None) == 0
-    assert page.read_text("utf-8") == f"# Page\n\n{BEGIN}\n\n{summary(found)}\n{END}\n"
+        save(record.run, record.measured, tmp_path / "records" / "results.jsonl")
+    assert made.main(None) == 0
+    assert page.read_text("utf-8") == f"# Page\n\n{begin}\n\n{summary(found)}\n{end}\n"
     assert (tmp_path / "tables" / "results.md").read_text("utf-8").endswith(tables(found, 2))
 
 
 def test_a_second_command_is_kept_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.campaign.OUT", tmp_path)
-    monkeypatch.setattr(sys, "argv", ["tiny"])
-    campaign = Campaign("tiny", "Tiny", [], lambda _: [], "x.md", summary, tables)
-    (tmp_path / "tiny").mkdir()
-    with locked(tmp_path / "tiny"), pytest.raises(SystemExit, match="in use by another process"):
-        campaign.main(None)
+    made, folder = campaign_of([], tmp_path, monkeypatch), tmp_path / "out" / "results"
+    folder.mkdir(parents=True)
+    with locked(folder), pytest.raises(SystemExit, match="in use by another process"):
+        made.main(None)

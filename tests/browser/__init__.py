@@ -1,0 +1,1 @@
+"""Tests of `stereogs.verbs.view` and of reports in a browser, which import its modules."""

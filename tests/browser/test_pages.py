@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 
 import stereogs
-from stereogs.cli import main
 from tests.browser.conftest import MAX_SECONDS, WIDTHS, keep, opened, overflow
+from tests.host import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable

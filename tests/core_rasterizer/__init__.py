@@ -1,0 +1,1 @@
+"""Tests of `core_rasterizer`, which import its modules."""

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera
+from core_rasterizer import Camera, GaussianModel, Gaussians, Rendering, reference
+from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+
+NAMES = ("means", "quaternions", "scales", "opacities", "sh")
+"""Arguments of `rasterize`."""
 
 
 @dataclass
@@ -66,6 +70,87 @@ def random_scene(
         sh=0.3
         * torch.randn(count, (sh_degree + 1) ** 2, 3, generator=generator, dtype=torch.float64),
     )
+
+
+def random_gaussians(count: int, degree: int, seed: int) -> Gaussians:
+    """Normally distributed parameters, not to be looked at."""
+    generator = torch.Generator().manual_seed(seed)
+    shapes = {"means": (3,), "log_scales": (3,), "quaternions": (4,), "opacity_logits": ()}
+    shapes["sh"] = ((degree + 1) ** 2, 3)
+    return Gaussians(
+        **{n: torch.randn(count, *shape, generator=generator) for n, shape in shapes.items()}
+    )
+
+
+def parameters(count: int = 200, seed: int = 0, sh_degree: int = 3) -> Gaussians:
+    """A `random_scene` as a model stores it."""
+    return stored(random_scene(torch.Generator().manual_seed(seed), count, sh_degree))
+
+
+def stored(scene: Scene) -> Gaussians:
+    """Logarithms and logits, in float."""
+    return Gaussians(
+        means=scene.means.float(),
+        log_scales=scene.scales.log().float(),
+        quaternions=scene.quaternions.float(),
+        opacity_logits=torch.logit(scene.opacities).float(),
+        sh=scene.sh.float(),
+    )
+
+
+def view(seed: int = 0) -> Camera:
+    """A camera for `parameters`."""
+    return random_camera(torch.Generator().manual_seed(50 + seed), 90, 60)
+
+
+def activated(stored: Gaussians, dtype: torch.dtype = torch.float64) -> tuple[Tensor, ...]:
+    """The arguments of `rasterize` and of the reference for stored parameters."""
+    values = {name: getattr(stored, name).to(dtype) for name in PARAMETERS}
+    scales, opacities = values["log_scales"].exp(), values["opacity_logits"].sigmoid()
+    return values["means"], values["quaternions"], scales, opacities, values["sh"]
+
+
+def leaves_of(gaussians: Gaussians, dtype: torch.dtype = torch.float32) -> Gaussians:
+    """Copies that are leaves of autograd."""
+    return Gaussians(
+        **{n: getattr(gaussians, n).to(dtype).clone().requires_grad_() for n in PARAMETERS}
+    )
+
+
+def with_centers(
+    gaussians: Gaussians, camera: Camera
+) -> tuple[reference.Projected, Tensor, Rendering]:
+    """The reference's projection, its centres on the image as a leaf, and the image computed from them."""
+    projected = reference.project(*activated(gaussians), camera)
+    centers = projected.centers.detach().requires_grad_()
+    moved = projected._replace(centers=centers)
+    return projected, centers, reference.composite(moved, camera.width, camera.height)
+
+
+def rates(rate: float) -> dict[str, float]:
+    """The same learning rate for every group."""
+    return dict.fromkeys(PARAMETER_GROUPS, rate)
+
+
+def gradients_of(model: GaussianModel) -> dict[str, Tensor]:
+    """Copies of the gradients of all parameters."""
+    return {name: model.gradient(name).clone() for name in PARAMETERS}
+
+
+def weighted_loss(rendering: Rendering, seed: int) -> Tensor:
+    """A loss on every output with random weights."""
+    generator = torch.Generator().manual_seed(seed)
+    total = torch.zeros((), dtype=rendering.rgb.dtype)
+    for image in (rendering.rgb, rendering.depth, rendering.alpha):
+        weights = torch.randn(image.shape, generator=generator, dtype=torch.float64)
+        total = total + (image * weights.to(image.dtype)).sum()
+    return total
+
+
+def relative_error(value: Tensor, truth: Tensor) -> float:
+    """Largest error over the largest true value."""
+    error = (value.detach().double() - truth.detach()).abs().max()
+    return float(error / truth.detach().abs().max().clamp(min=1e-30))
 
 
 def _cross(vector: Tensor) -> Tensor:

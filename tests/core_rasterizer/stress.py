@@ -7,8 +7,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Device, Rendering, rasterize, reference
 from core_rasterizer.raster import NEAR_PLANE
-from tests.core_rasterizer.scenes import Scene, random_scene
-from tests.core_rasterizer.test_rasterize import NAMES, relative_error, weighted_loss
+from tests.core_rasterizer.scenes import NAMES, Scene, random_scene, relative_error, weighted_loss
 
 BACKGROUND = (0.2, 0.5, 0.9)
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians, reference
+from core_rasterizer import Camera, Device, GaussianError, GaussianModel, Gaussians
+from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.optimization import GaussianReader
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters, random_camera, with_centers
 
 CAMERA = random_camera(torch.Generator().manual_seed(8), 13, 9)
 COUNT = 40
@@ -17,16 +17,7 @@ COUNT = 40
 
 def expected(gaussians: Gaussians, camera: Camera) -> Tensor:
     """Every pixel's own gradient, by autograd in float64, for the loss sum(rgb^2)."""
-    projected = reference.project(
-        gaussians.means,
-        gaussians.quaternions,
-        gaussians.log_scales.double().exp(),
-        gaussians.opacity_logits.double().sigmoid(),
-        gaussians.sh,
-        camera,
-    )
-    centers = projected.centers.detach().requires_grad_()
-    image = reference.composite(projected._replace(centers=centers), camera.width, camera.height)
+    projected, centers, image = with_centers(gaussians, camera)
     losses = image.rgb.square().sum(2).reshape(-1)
     pulls = [torch.autograd.grad(loss, centers, retain_graph=True)[0].abs() for loss in losses]
     in_ndc = torch.stack(pulls).sum(0) * torch.tensor([camera.width / 2, camera.height / 2])
@@ -62,7 +53,7 @@ def test_results_without_it_are_bit_identical(device: Device) -> None:
     plain, asked = (GaussianModel(parameters(COUNT), device) for _ in range(2))
     differentiate(plain, absolute=False)
     differentiate(asked)
-    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+    for name in PARAMETERS:
         assert torch.equal(plain.gradient(name), asked.gradient(name))
     assert torch.equal(plain.statistics.sums(), asked.statistics.sums()[:2])
     assert plain.statistics.sums().shape == (2, COUNT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.peer import disagreement
+from tests.host import disagreement
 
 
 def test_projection_and_its_gradients_are_those_of_gsplat() -> None:

@@ -20,7 +20,7 @@ from core_rasterizer import (
     self_test as self_test_module,
 )
 from core_rasterizer.device import Description, Trial, choose, trial
-from core_rasterizer.raster.tile_lists import FEW
+from core_rasterizer.device.profile import FEW
 
 INFINITE = math.inf
 

@@ -8,11 +8,7 @@ from torch import Tensor
 
 from core_rasterizer import Device, GaussianError, GaussianModel
 from core_rasterizer.layout import PARAMETERS
-from tests.core_rasterizer.test_model import parameters, view
-
-
-def gradients(model: GaussianModel) -> dict[str, Tensor]:
-    return {name: model.gradient(name).clone() for name in PARAMETERS}
+from tests.core_rasterizer.scenes import gradients_of, parameters, view
 
 
 def lossy(model: GaussianModel, seed: int, *detach: str) -> Tensor:
@@ -26,11 +22,11 @@ def test_detach_zeroes_only_the_detached_gradients(
 ) -> None:
     model = GaussianModel(parameters(), device)
     lossy(model, 0).backward()
-    whole, statistics = gradients(model), model.statistics.sums()
+    whole, statistics = gradients_of(model), model.statistics.sums()
     model.zero_gradients()
     model.statistics.reset()
     lossy(model, 0, *detached).backward()
-    for name, gradient in gradients(model).items():
+    for name, gradient in gradients_of(model).items():
         assert torch.equal(gradient, 0 * gradient if name in detached else whole[name]), name
     assert torch.equal(model.statistics.sums(), statistics)
 
@@ -44,12 +40,12 @@ def test_other_renders_of_the_iteration_still_contribute(
     for seed in (1, 2):
         model.zero_gradients()
         lossy(model, seed).backward()
-        alone.append(gradients(model))
+        alone.append(gradients_of(model))
     model.zero_gradients()
     losses = [lossy(model, 1), lossy(model, 2, "means", "sh")]
     for loss in reversed(losses) if detached_first else losses:
         loss.backward()
-    for name, gradient in gradients(model).items():
+    for name, gradient in gradients_of(model).items():
         if name in ("means", "sh"):
             assert torch.equal(gradient, alone[0][name]), name
         else:

@@ -6,14 +6,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
-import numpy as np
 import pyopencl as cl
 import pytest
 import torch
 
 from core_rasterizer import Device, DeviceError, GaussianModel, list_devices, open_device
 from core_rasterizer.device import DeviceArray, device as device_module
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters
 
 
 @pytest.fixture
@@ -79,7 +78,7 @@ def test_a_launch_failure_is_explained(device: Device) -> None:
     program = device.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     array = DeviceArray(device, (16,), torch.int32)
     with pytest.raises(DeviceError, match="could not run the kernel scan_chunks"):
-        program.run("scan_chunks", (16,), (3,), array, array, np.uint32(15), np.uint32(1))
+        program.run("scan_chunks", (16,), (3,), counts=array, totals=array, buckets=15, chunks=1)
 
 
 def test_memory_of_an_array_lives_until_kernels_have_run(device: Device) -> None:
@@ -89,7 +88,7 @@ def test_memory_of_an_array_lives_until_kernels_have_run(device: Device) -> None
     program = alone.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
     array = DeviceArray(alone, (16,), torch.int32)
     totals = DeviceArray(alone, (17,), torch.int32)
-    program.run("scan_chunks", (16,), (16,), array, totals, np.uint32(15), np.uint32(1))
+    program.run("scan_chunks", (16,), (16,), counts=array, totals=totals, buckets=15, chunks=1)
     del array
     assert len(alone.retired) == 1
     totals.read()

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -24,16 +23,19 @@ from core_rasterizer import (
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.layout import PARAMETER_GROUPS
 from core_rasterizer.raster import Renderer, RenderRequest
 from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
-from tests.core_rasterizer.scenes import random_camera, random_scene
-from tests.core_rasterizer.test_model import parameters
-from tests.core_rasterizer.test_rasterize import weighted_loss
+from tests.core_rasterizer.scenes import (
+    parameters,
+    random_camera,
+    random_scene,
+    rates,
+    weighted_loss,
+)
 
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
+RATES = rates(1e-3)
 
 
 @cache
@@ -71,10 +73,10 @@ def test_the_zones_catch_writes_outside_a_buffer(device: Device, pattern: int) -
     array = DeviceArray(inside, (15,), torch.int32)
     totals = DeviceArray(inside, (17,), torch.int32)
     program = inside.program("raster/scan", dtype=torch.float32, SCAN_GROUP=16, SCAN_ITEMS=1)
-    arguments = (np.uint32(15), np.uint32(1))
-    program.run("scan_chunks", (16,), (16,), array, totals, *arguments)
+    arrays = {"counts": array, "totals": totals}
+    program.run("scan_chunks", (16,), (16,), **arrays, buckets=15, chunks=1)
     assert inside.check() == 2
-    program.run("scan_chunks", (16,), (16,), array, totals, np.uint32(16), np.uint32(1))
+    program.run("scan_chunks", (16,), (16,), **arrays, buckets=16, chunks=1)
     assert totals.read()[15] == torch.tensor([pattern] * 4, dtype=torch.uint8).view(torch.int32)
     with pytest.raises(AssertionError, match="after buffer 0"):
         inside.check()

@@ -8,8 +8,7 @@ import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, open_device, photometric_loss
 from core_rasterizer.device.host_pool import ALIGNMENT, KEPT, SMALLEST, HostPool
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters, random_camera
 from tests.core_rasterizer.training import RATES
 
 SHAPE = (128, 256)

@@ -13,8 +13,7 @@ from core_rasterizer import Camera, CameraError, Device, MemoryBudgetError
 from core_rasterizer.device import DeviceArray
 from core_rasterizer.layout import padded
 from core_rasterizer.raster import Block, Renderer, RenderRequest, pack
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters, random_camera
 
 BLACK = (0.0, 0.0, 0.0)
 

@@ -13,25 +13,17 @@ from core_rasterizer import (
     GaussianModel,
     Gaussians,
     rasterize,
-    reference,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
-from tests.core_rasterizer.scenes import random_camera, random_scene
-
-
-def parameters(count: int = 200, seed: int = 0, sh_degree: int = 3) -> Gaussians:
-    scene = random_scene(torch.Generator().manual_seed(seed), count, sh_degree)
-    return Gaussians(
-        means=scene.means.float(),
-        log_scales=scene.scales.log().float(),
-        quaternions=scene.quaternions.float(),
-        opacity_logits=torch.logit(scene.opacities).float(),
-        sh=scene.sh.float(),
-    )
-
-
-def view(seed: int = 0) -> Camera:
-    return random_camera(torch.Generator().manual_seed(50 + seed), 90, 60)
+from core_rasterizer.layout import PARAMETERS
+from tests.core_rasterizer.scenes import (
+    activated,
+    gradients_of,
+    leaves_of,
+    parameters,
+    rates,
+    view,
+    with_centers,
+)
 
 
 def test_parameters_round_trip(device: Device) -> None:
@@ -46,22 +38,14 @@ def test_agrees_with_the_function_through_the_activations(device: Device) -> Non
     """Torch differentiates exp and sigmoid around `rasterize`; the model does it in its kernels."""
     gaussians, camera = parameters(), view()
     model = GaussianModel(gaussians, device)
-    leaves = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
-    plain = rasterize(
-        leaves["means"],
-        leaves["quaternions"],
-        leaves["log_scales"].exp(),
-        leaves["opacity_logits"].sigmoid(),
-        leaves["sh"],
-        camera,
-        (0.1, 0.2, 0.3),
-        device=device,
-    )
+    leaves = leaves_of(gaussians)
+    single = activated(leaves, torch.float32)
+    plain = rasterize(*single, camera, (0.1, 0.2, 0.3), device=device)
     resident = model.render(camera, background=(0.1, 0.2, 0.3))
     assert torch.allclose(plain.rgb, resident.rgb, atol=2e-6)
     for rendering in (plain, resident):
         (rendering.rgb.square().sum() + rendering.depth.sum() + rendering.alpha.sum()).backward()
-    for name, leaf in leaves.items():
+    for name, leaf in vars(leaves).items():
         gradient = model.gradient(name)
         assert (gradient - leaf.grad).abs().max() <= 5e-5 * leaf.grad.abs().max(), name
 
@@ -72,7 +56,7 @@ def test_several_renders_accumulate_and_zeroing_forgets(device: Device) -> None:
     for seed in (1, 2):
         model.zero_gradients()
         model.render(view(seed)).rgb.sum().backward()
-        separate.append({name: model.gradient(name).clone() for name in PARAMETERS})
+        separate.append(gradients_of(model))
     model.zero_gradients()
     (model.render(view(1)).rgb.sum() + model.render(view(2)).rgb.sum()).backward()
     for name in PARAMETERS:
@@ -116,31 +100,14 @@ def test_opacity_factors_act_on_the_activated_opacity(device: Device) -> None:
     factors[::3] = 0
     with torch.no_grad():
         scaled = model.render(view(), opacity_scale=factors)
-    opacities = model.opacities() * factors
-    plain = rasterize(
-        model.read("means"),
-        model.read("quaternions"),
-        model.scales(),
-        opacities,
-        model.read("sh"),
-        view(),
-        device=device,
-    )
+    means, quaternions, scales, opacities, sh = activated(model.gaussians(), torch.float32)
+    plain = rasterize(means, quaternions, scales, opacities * factors, sh, view(), device=device)
     assert torch.allclose(scaled.rgb, plain.rgb, atol=3e-6)
 
 
 def test_screen_gradients_are_the_oracles_in_ndc(device: Device) -> None:
     gaussians, camera = parameters(40), view()
-    projected = reference.project(
-        gaussians.means,
-        gaussians.quaternions,
-        gaussians.log_scales.double().exp(),
-        gaussians.opacity_logits.double().sigmoid(),
-        gaussians.sh,
-        camera,
-    )
-    centers = projected.centers.detach().requires_grad_()
-    image = reference.composite(projected._replace(centers=centers), camera.width, camera.height)
+    projected, centers, image = with_centers(gaussians, camera)
     image.rgb.square().sum().backward()
     assert centers.grad is not None
     in_ndc = centers.grad * torch.tensor([camera.width / 2, camera.height / 2])
@@ -187,7 +154,7 @@ def test_backward_after_a_step_raises(device: Device) -> None:
     model = GaussianModel(parameters(), device)
     first, second = model.render(view()), model.render(view())
     second.rgb.sum().backward()
-    Adam(model).step(dict.fromkeys(PARAMETER_GROUPS, 1e-3), 0)
+    Adam(model).step(rates(1e-3), 0)
     with pytest.raises(GaussianError, match="stepped between a render and its backward"):
         first.rgb.sum().backward()
 

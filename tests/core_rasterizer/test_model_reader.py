@@ -6,7 +6,7 @@ import torch
 
 from core_rasterizer import Device, GaussianModel, GaussianReader
 from core_rasterizer.layout import PARAMETERS
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import parameters, view
 
 READABLE = {
     "absolute_screen_gradient",

@@ -7,8 +7,7 @@ import torch
 
 from core_rasterizer import Camera, Device, DeviceError, rasterize, reference
 from core_rasterizer.device import program
-from tests.core_rasterizer.scenes import random_camera, random_scene
-from tests.core_rasterizer.test_rasterize import relative_error
+from tests.core_rasterizer.scenes import random_camera, random_scene, relative_error
 
 ACCURACY = 1e-6
 """As `test_rasterize.py` asks of devices with double precision."""

@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, Device, ExplainedError, GaussianModel, Gaussians
+from core_rasterizer import Adam, Device, ExplainedError, GaussianModel
 from core_rasterizer.layout import PARAMETER_GROUPS
+from tests.core_rasterizer.scenes import random_gaussians
 
 RATES = {
     "means": 1e-3,
@@ -22,15 +23,7 @@ RATES = {
 def make_model(
     device: Device, dtype: torch.dtype, count: int = 37, degree: int = 3
 ) -> GaussianModel:
-    generator = torch.Generator().manual_seed(3)
-    gaussians = Gaussians(
-        means=torch.randn(count, 3, generator=generator),
-        log_scales=torch.randn(count, 3, generator=generator),
-        quaternions=torch.randn(count, 4, generator=generator),
-        opacity_logits=torch.randn(count, generator=generator),
-        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
-    )
-    return GaussianModel(gaussians, device, dtype=dtype)
+    return GaussianModel(random_gaussians(count, degree, 3), device, dtype=dtype)
 
 
 def gradients_for(model: GaussianModel, step: int) -> Tensor:

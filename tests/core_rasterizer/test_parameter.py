@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Adam, Device, ExplainedError, GaussianError, GaussianModel
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
-from tests.core_rasterizer.test_model import parameters, view
+from core_rasterizer.layout import PARAMETERS
+from tests.core_rasterizer.scenes import parameters, rates, view
 
 NAMES = (*PARAMETERS, "opacities", "scales")
 STORED = {"opacities": "opacity_logits", "scales": "log_scales"}
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
+RATES = rates(1e-2)
 
 
 def weights_like(values: Tensor) -> Tensor:
@@ -127,7 +127,7 @@ def test_bands_that_only_a_loss_on_parameters_reached_are_forgotten_too(device: 
         if on_parameters:
             loss_on(model.parameter("sh")).backward()
         model.render(view(), sh_degree=0).rgb.sum().backward()
-        model.gradients.settle()
+        model.gradients.store()
         assert model.gradient("sh")[:, 1:].any() == on_parameters
         assert model.gradient("sh")[:, 0].any()
 
@@ -191,7 +191,7 @@ def test_the_same_losses_give_the_same_bits(device: Device) -> None:
         model = GaussianModel(parameters(50), device)
         loss = sum((loss_on(model.parameter(name)) for name in NAMES), torch.zeros(()))
         (loss + model.render(view()).rgb.square().sum()).backward()
-        model.gradients.settle()
+        model.gradients.store()
         return model.gradients.rows.read().clone()
 
     assert torch.equal(outcome(), outcome())
@@ -204,7 +204,7 @@ def test_a_discrete_device_copies_only_used_rows(device: Device) -> None:
     model.zero_gradients()
     optimizer.step(RATES, 3)
     before = discrete.bytes_moved
-    model.gradients.settle()
+    model.gradients.store()
     assert discrete.bytes_moved == before
     model.parameter("opacities").sum().backward()
     optimizer.step(RATES, 3)

@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Device
-from core_rasterizer.matching import MAX_PATCH_SOURCES, PatchMatch, PlaneMap
+from core_rasterizer.matching import MAX_PATCH_SOURCES, PatchMatch
 from core_rasterizer.matching.patch_level import PatchLevel
+from core_rasterizer.matching.patch_match import PlaneMap
 from tests.core_rasterizer import patch_match_oracle as oracle
 from tests.core_rasterizer.slanted_wall import BOUNDS, NORMAL, OTHERS, wall
 from tests.core_rasterizer.test_plane_sweep import pose, textures, uneven_cameras

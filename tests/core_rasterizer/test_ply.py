@@ -15,20 +15,13 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from core_rasterizer import Gaussians, PlyError
+from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.ply import load_ply, load_points, save_ply
+from tests.core_rasterizer.scenes import random_gaussians
 
-FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
-
-def random_gaussians(count: int, degree: int) -> Gaussians:
-    generator = torch.Generator().manual_seed(count + degree)
-    return Gaussians(
-        means=torch.randn(count, 3, generator=generator),
-        log_scales=torch.randn(count, 3, generator=generator),
-        quaternions=torch.randn(count, 4, generator=generator),
-        opacity_logits=torch.randn(count, generator=generator),
-        sh=torch.randn(count, (degree + 1) ** 2, 3, generator=generator),
-    )
+def gaussians_of(count: int, degree: int) -> Gaussians:
+    return random_gaussians(count, degree, count + degree)
 
 
 def rewritten(source: Path, target: Path, *, text: bool = False, drop: str = "") -> Path:
@@ -45,23 +38,23 @@ def rewritten(source: Path, target: Path, *, text: bool = False, drop: str = "")
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
     path = tmp_path / "scene.ply"
-    save_ply(random_gaussians(7, 3), path)
+    save_ply(gaussians_of(7, 3), path)
     return path
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("count", [0, 1, 50])
 def test_round_trip_keeps_every_bit(tmp_path: Path, count: int, degree: int) -> None:
-    gaussians = random_gaussians(count, degree)
+    gaussians = gaussians_of(count, degree)
     assert save_ply(gaussians, tmp_path / "scene.ply") == 0
     loaded = load_ply(tmp_path / "scene.ply")
-    for field in FIELDS:
+    for field in PARAMETERS:
         assert torch.equal(getattr(loaded, field), getattr(gaussians, field)), field
     assert [p.name for p in tmp_path.iterdir()] == ["scene.ply"]
 
 
 def test_the_layout_is_the_standard_one(tmp_path: Path) -> None:
-    gaussians = random_gaussians(3, 1)
+    gaussians = gaussians_of(3, 1)
     save_ply(gaussians, tmp_path / "scene.ply")
     data = PlyData.read(str(tmp_path / "scene.ply"))
     rows = data["vertex"].data
@@ -79,15 +72,15 @@ def test_the_layout_is_the_standard_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
 def test_order_of_properties_does_not_matter(tmp_path: Path, scene_file: Path, text: bool) -> None:
     loaded = load_ply(rewritten(scene_file, tmp_path / "other.ply", text=text))
-    original = random_gaussians(7, 3)
-    for field in FIELDS:
+    original = gaussians_of(7, 3)
+    for field in PARAMETERS:
         torch.testing.assert_close(getattr(loaded, field), getattr(original, field))
 
 
 def test_rows_that_are_not_finite_are_omitted_and_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gaussians = random_gaussians(6, 1)
+    gaussians = gaussians_of(6, 1)
     gaussians.means[1, 2] = math.nan
     gaussians.sh[4, 3, 0] = math.inf
     with caplog.at_level(logging.WARNING):
@@ -102,7 +95,7 @@ def test_a_failed_save_leaves_the_old_file(scene_file: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(before), limits[1]))  # as good as a full disk
     try:
         with pytest.raises(PlyError, match="cannot be written"):
-            save_ply(random_gaussians(1000, 3), scene_file)
+            save_ply(gaussians_of(1000, 3), scene_file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert scene_file.read_bytes() == before
@@ -111,7 +104,7 @@ def test_a_failed_save_leaves_the_old_file(scene_file: Path) -> None:
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(PlyError, match="nowhere"):
-        save_ply(random_gaussians(1, 0), tmp_path / "nowhere" / "scene.ply")
+        save_ply(gaussians_of(1, 0), tmp_path / "nowhere" / "scene.ply")
 
 
 def test_a_missing_file_and_a_folder_raise(tmp_path: Path) -> None:
@@ -208,6 +201,60 @@ def test_a_value_that_is_not_finite_is_named(scene_file: Path) -> None:
     with pytest.raises(PlyError, match=r"scale_1 .* vertex 5") as caught:
         load_ply(scene_file)
     assert caught.value.where.endswith("scale_1[5]")
+
+
+def test_infinite_opacities_are_opaque_and_transparent(scene_file: Path) -> None:
+    rows = np.array(PlyData.read(str(scene_file))["vertex"].data)
+    rows["opacity"][[2, 4]] = math.inf, -math.inf
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(scene_file))
+    opacities = torch.sigmoid(load_ply(scene_file).opacity_logits)
+    assert opacities[2] == 1
+    assert 0 < opacities[4] < 1e-12
+
+
+def with_header(scene_file: Path, old: str, new: str) -> Path:
+    content = scene_file.read_bytes()
+    assert old.encode() in content
+    scene_file.write_bytes(content.replace(old.encode(), new.encode(), 1))
+    return scene_file
+
+
+def test_comments_need_not_be_ascii(scene_file: Path) -> None:
+    before = load_ply(scene_file)
+    element = "element vertex"
+    path = with_header(scene_file, element, f"comment caf\u00e9\nobj_info \u5730\n{element}")
+    torch.testing.assert_close(load_ply(path).means, before.means, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("SplatRenderMode: default", "SplatRenderMode: mip"),
+        ("property float nx", "property float filter_3D"),
+    ],
+    ids=["comment", "property"],
+)
+def test_an_anti_aliasing_filter_is_mentioned(
+    old: str, new: str, scene_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    load_ply(scene_file)
+    assert not caplog.text
+    load_ply(with_header(scene_file, old, new))
+    assert "compensate_dilation" in caplog.text
+
+
+def test_scenes_of_other_kinds_are_named(tmp_path: Path, scene_file: Path) -> None:
+    flat = rewritten(scene_file, tmp_path / "flat.ply", drop="scale_2")
+    packed = tmp_path / "packed.ply"
+    names = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+    rows = np.zeros(3, dtype=[(name, "u4") for name in names])
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(packed))
+    splat = tmp_path / "scene.splat"
+    splat.write_bytes(bytes(64))
+    for path, what in ((flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15")):
+        with pytest.raises(PlyError, match=what) as caught:
+            load_ply(path)
+        assert caught.value.fix
 
 
 def test_a_list_property_raises(tmp_path: Path, scene_file: Path) -> None:

@@ -27,11 +27,10 @@ from core_rasterizer import (
     photometric_loss,
     rasterize,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, padded
+from core_rasterizer.layout import PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.options import posed
-from tests.core_rasterizer.scenes import Scene, random_scene
-from tests.core_rasterizer.test_rasterize import NAMES, weighted_loss
+from tests.core_rasterizer.scenes import NAMES, Scene, random_scene, rates, weighted_loss
 
 IN_THE_SUITE = 300
 SCENES = int(os.environ.get("STRESS_SCENES", IN_THE_SUITE))
@@ -266,6 +265,6 @@ def test_the_model_and_a_step_of_training(
         screen_gradient=model.statistics.screen_gradient(),
         **{f"gradient of {name}": model.gradient(name) for name in PARAMETERS},
     )
-    optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 1e-2), active_sh_degree=3)
+    optimizer.step(rates(1e-2), active_sh_degree=3)
     assert torch.equal(torch.isfinite(model.parameters.read()), finite)
     assert_finite(**optimizer.state())

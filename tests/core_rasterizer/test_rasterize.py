@@ -5,29 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
-from core_rasterizer import Camera, Device, GaussianError, Rendering, rasterize, reference
-from tests.core_rasterizer.scenes import Scene, random_camera, random_scene
+from core_rasterizer import Camera, Device, GaussianError, rasterize, reference
+from tests.core_rasterizer.scenes import (
+    NAMES,
+    Scene,
+    random_camera,
+    random_scene,
+    relative_error,
+    weighted_loss,
+)
 from tests.data import data_folder
-
-NAMES = ("means", "quaternions", "scales", "opacities", "sh")
-
-
-def weighted_loss(rendering: Rendering, seed: int) -> Tensor:
-    """A loss on every output with random weights."""
-    generator = torch.Generator().manual_seed(seed)
-    total = torch.zeros((), dtype=rendering.rgb.dtype)
-    for image in (rendering.rgb, rendering.depth, rendering.alpha):
-        weights = torch.randn(image.shape, generator=generator, dtype=torch.float64)
-        total = total + (image * weights.to(image.dtype)).sum()
-    return total
-
-
-def relative_error(value: Tensor, truth: Tensor) -> float:
-    """Largest error over the largest true value."""
-    error = (value.detach().double() - truth.detach()).abs().max()
-    return float(error / truth.detach().abs().max().clamp(min=1e-30))
 
 
 @pytest.mark.parametrize("seed", range(6))

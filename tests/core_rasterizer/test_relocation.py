@@ -18,9 +18,9 @@ from core_rasterizer import (
     Gaussians,
     Relocation,
     apply_edit,
-    shared_among_copies,
 )
 from core_rasterizer.layout import PARAMETERS
+from core_rasterizer.optimization.topology import shared_among_copies
 from tests.core_rasterizer.test_topology import generator, mask, trained
 
 
@@ -70,8 +70,8 @@ def test_sources_and_targets_share_and_reset_their_moments(device: Device) -> No
     moments = [
         m.read()[:, :50].clone() for m in (optimizer.first_moments, optimizer.second_moments)
     ]
-    move = Relocation(source=torch.tensor([4, 9, 4]), target=torch.tensor([30, 2, 31]))
-    carried = apply_edit(model, optimizer, Edit(relocate=move), generator())
+    edit = Edit(relocate=move(source=[4, 9, 4], target=[30, 2, 31]))
+    carried = apply_edit(model, optimizer, edit, generator())
 
     source = torch.arange(50)
     source[[30, 2, 31]] = torch.tensor([4, 9, 4])
@@ -136,47 +136,35 @@ def test_a_relocation_without_targets_changes_nothing(device: Device) -> None:
     assert model.digest() == digest
 
 
-def indices(*values: int) -> Tensor:
-    return torch.tensor(values, dtype=torch.int64)
+def move(source: list[int], target: list[int]) -> Relocation:
+    return Relocation(torch.tensor(source), torch.tensor(target))
 
 
 WRONG = {
-    "a target twice": (Relocation(indices(1, 2), indices(7, 7)), None, "target", 0, "twice"),
-    "a target that is a source": (
-        Relocation(indices(1, 7), indices(3, 1)),
+    "a target twice": (move([1, 2], [7, 7]), None, "target", 0, "twice"),
+    "a target that is a source": (move([1, 7], [3, 1]), None, "target", 1, "source"),
+    "a target that is pruned": (move([1], [7]), mask(50, 7), "target", 0, "pruned"),
+    "a source that is pruned": (move([1], [7]), mask(50, 1), "source", 0, "pruned"),
+    "an index too large": (move([1], [50]), None, "target", 0, "50"),
+    "an index below 0": (move([1, -1], [3, 4]), None, "source", 1, "-1"),
+    "unequal lengths": (move([1, 2], [3]), None, "source", None, "expected"),
+    "indices that are none": (
+        Relocation(torch.tensor([1]), mask(50, 3)),
         None,
         "target",
-        1,
-        "source",
+        None,
+        "int64",
     ),
-    "a target that is pruned": (
-        Relocation(indices(1), indices(7)),
-        mask(50, 7),
-        "target",
-        0,
-        "pruned",
-    ),
-    "a source that is pruned": (
-        Relocation(indices(1), indices(7)),
-        mask(50, 1),
-        "source",
-        0,
-        "pruned",
-    ),
-    "an index too large": (Relocation(indices(1), indices(50)), None, "target", 0, "50"),
-    "an index below 0": (Relocation(indices(1, -1), indices(3, 4)), None, "source", 1, "-1"),
-    "unequal lengths": (Relocation(indices(1, 2), indices(3)), None, "source", None, "expected"),
-    "indices that are none": (Relocation(indices(1), mask(50, 3)), None, "target", None, "int64"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_an_invalid_relocation_raises_and_changes_nothing(device: Device, case: str) -> None:
-    move, prune, field, index, what = WRONG[case]
+    relocation, prune, field, index, what = WRONG[case]
     model, optimizer = trained(device)
     digest, state = model.digest(), optimizer.state()
     with pytest.raises(GaussianError, match=what) as error:
-        apply_edit(model, optimizer, Edit(relocate=move, prune=prune), generator())
+        apply_edit(model, optimizer, Edit(relocate=relocation, prune=prune), generator())
     assert (error.value.field, error.value.index) == (f"relocate.{field}", index)
     assert model.digest() == digest
     assert all(torch.equal(values, state[name]) for name, values in optimizer.state().items())

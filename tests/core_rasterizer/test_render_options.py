@@ -19,13 +19,22 @@ from core_rasterizer import (
     rasterize,
     reference,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.raster import Renderer, RenderRequest
 from tests.core_rasterizer.options import all_options, posed, smoothing_of
-from tests.core_rasterizer.scenes import random_camera, random_scene
+from tests.core_rasterizer.scenes import (
+    NAMES,
+    activated,
+    leaves_of,
+    parameters,
+    random_camera,
+    random_scene,
+    rates,
+    relative_error,
+    view,
+    weighted_loss,
+)
 from tests.core_rasterizer.test_memory_budget import block_of
-from tests.core_rasterizer.test_model import parameters, view
-from tests.core_rasterizer.test_rasterize import NAMES, relative_error, weighted_loss
 
 Options = Callable[[torch.Generator, int], dict[str, Any]]
 OPTIONS: dict[str, Options] = {
@@ -99,18 +108,9 @@ def test_several_cameras_in_one_backward_have_their_own_gradients(device: Device
 def test_the_model_is_the_function_behind_its_activations(device: Device) -> None:
     gaussians, generator = parameters(), torch.Generator().manual_seed(3)
     options = all_options(generator, len(gaussians))
-    leaves = {n: getattr(gaussians, n).double().requires_grad_() for n in PARAMETERS}
+    leaves = leaves_of(gaussians, torch.float64)
     plain_camera, plain_pose = posed(view())
-    plain = rasterize(
-        leaves["means"],
-        leaves["quaternions"],
-        leaves["log_scales"].exp(),
-        leaves["opacity_logits"].sigmoid(),
-        leaves["sh"],
-        plain_camera,
-        **options,
-        device=device,
-    )
+    plain = rasterize(*activated(leaves), plain_camera, **options, device=device)
     footprint = {name: options.pop(name) for name in ("dilation", "compensate_dilation")}
     model = GaussianModel(gaussians, device, dtype=torch.float64, **footprint)
     camera, pose = posed(view())
@@ -118,7 +118,7 @@ def test_the_model_is_the_function_behind_its_activations(device: Device) -> Non
     for rendering in (plain, resident):
         weighted_loss(rendering, 0).backward()
     assert relative_error(resident.rgb, plain.rgb) < 1e-12
-    for name, leaf in leaves.items():
+    for name, leaf in vars(leaves).items():
         assert relative_error(model.gradient(name), leaf.grad) < 1e-10, name
     assert relative_error(pose.grad, plain_pose.grad) < 1e-10
 
@@ -198,7 +198,7 @@ def test_a_fading_band_takes_part_in_the_step(device: Device) -> None:
     model.render(view(), sh_degree=1.5).rgb.square().sum().backward()
     assert model.gradient("sh")[:, 4:9].any()
     assert not model.gradient("sh")[:, 9:].any()
-    Adam(model).step(dict.fromkeys(PARAMETER_GROUPS, 1e-2), active_sh_degree=1.5)
+    Adam(model).step(rates(1e-2), active_sh_degree=1.5)
     moved = (model.read("sh") != before).any(dim=0).any(dim=1)
     assert moved.tolist() == [True] * 9 + [False] * 7
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from core_rasterizer import Device, GaussianModel, photometric_loss
-from tests.core_rasterizer.test_model import parameters, view
+from core_rasterizer.device import DeviceProfile
+from tests.core_rasterizer.scenes import parameters, view
 from tests.core_rasterizer.training import short_training
 
 
@@ -22,6 +23,7 @@ def with_units(device: Device, units: int) -> Device:
     """The same device as if it had another number of compute units."""
     engine = device.as_variant(device.variant)
     engine.compute_units = units
+    engine.profile = DeviceProfile.for_device(engine.variant, units)
     return engine
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
 
-from core_rasterizer import Adam, Device, GaussianError, GaussianModel, Gaussians
-from core_rasterizer.device import Program
+from core_rasterizer import Adam, Device, GaussianError, GaussianModel
 from core_rasterizer.layout import PARAMETERS
-from tests.core_rasterizer.scenes import random_camera, random_scene
+from tests.core_rasterizer.scenes import random_camera, random_scene, stored
 from tests.core_rasterizer.test_optimizer import RATES
+from tests.core_rasterizer.traffic import counted
 
 CAMERA = random_camera(torch.Generator().manual_seed(2))
 COUNT = 301
@@ -21,17 +23,7 @@ FUSED, SEPARATE = "project_backward_and_step", "project_backward"
 
 def make_model(device: Device) -> GaussianModel:
     scene = random_scene(torch.Generator().manual_seed(4), COUNT, spread=2)
-    means, quaternions, scales, opacities, sh = scene.tensors(torch.float32)
-    return GaussianModel(
-        Gaussians(
-            means.detach(),
-            scales.detach().log(),
-            quaternions.detach(),
-            opacities.detach().logit(),
-            sh.detach(),
-        ),
-        device,
-    )
+    return GaussianModel(stored(scene), device)
 
 
 class Training:
@@ -65,17 +57,10 @@ def assert_same(kept: Training, used: Training) -> None:
 
 
 @pytest.fixture
-def launched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the kernels launched so far."""
-    names: list[str] = []
-    run = Program.run
-
-    def counted(self: Program, kernel: str, *arguments: Any) -> None:
-        names.append(kernel)
-        run(self, kernel, *arguments)
-
-    monkeypatch.setattr(Program, "run", counted)
-    return names
+def launched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
+    """Launches so far, by the kernel's name."""
+    with counted(monkeypatch) as traffic:
+        yield traffic.kernels
 
 
 RENDERS: dict[str, dict[str, Any]] = {
@@ -92,7 +77,7 @@ RENDERS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("options", RENDERS.values(), ids=RENDERS)
 def test_same_bits_without_storing_gradients(
-    device: Device, options: dict[str, Any], launched: list[str]
+    device: Device, options: dict[str, Any], launched: Counter[str]
 ) -> None:
     kept, used = pair(device)
     before = used.bits()
@@ -102,13 +87,15 @@ def test_same_bits_without_storing_gradients(
             training.backward(**(options if degree == 3 else {}))
             training.step(degree, skip=("quaternions",) if degree == 2 else ())
         assert training is used or FUSED not in launched
-    assert launched.count(FUSED) == 3
-    assert launched.count(SEPARATE) == 3
+    assert launched[FUSED] == 3
+    assert launched[SEPARATE] == 3
     assert_same(kept, used)
     assert not torch.equal(before[-3], used.bits()[-3])  # second moments
 
 
-def test_a_reader_before_the_step_gets_the_gradients(device: Device, launched: list[str]) -> None:
+def test_a_reader_before_the_step_gets_the_gradients(
+    device: Device, launched: Counter[str]
+) -> None:
     kept, used = pair(device)
     for training in (kept, used):
         training.model.zero_gradients()

@@ -16,8 +16,8 @@ from core_rasterizer import (
     photometric_loss,
     rasterize,
 )
+from tests.core_rasterizer.scenes import parameters
 from tests.core_rasterizer.stress import crowd, plain_camera, there_and_back
-from tests.core_rasterizer.test_model import parameters
 
 UNDEFINED = [math.nan, math.inf, -math.inf]
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from core_rasterizer import Device, GaussianModel, Gaussians
-from tests.core_rasterizer.scenes import Scene
+from core_rasterizer.layout import PARAMETERS
+from tests.core_rasterizer.scenes import Scene, parameters
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,
@@ -18,7 +19,6 @@ from tests.core_rasterizer.stress import (
     plain_camera,
     there_and_back,
 )
-from tests.core_rasterizer.test_model import parameters
 
 CUT = np.float32(1 / 255)
 
@@ -141,7 +141,7 @@ def factors_applied(device: Device, factor: float) -> tuple[torch.Tensor, Gaussi
     )
     (rendering.rgb.sum() + rendering.depth.sum()).backward()
     assert torch.isfinite(rendering.rgb).all()
-    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+    for name in PARAMETERS:
         assert torch.isfinite(model.gradient(name)).all(), name
     return rendering.rgb.detach(), model
 

@@ -16,10 +16,10 @@ from core_rasterizer import (
     GaussianModel,
     apply_edit,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS, rows_of
-from tests.core_rasterizer.test_model import parameters, view
+from core_rasterizer.layout import PARAMETERS, rows_of
+from tests.core_rasterizer.scenes import parameters, rates, view
 
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
+RATES = rates(1e-3)
 
 
 def everything(count: int) -> torch.Tensor:

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, Gaussians
-from core_rasterizer.layout import PARAMETER_GROUPS, padded
+from core_rasterizer.layout import PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
+from tests.core_rasterizer.scenes import NAMES, parameters, rates
 from tests.core_rasterizer.stress import (
     assert_agrees_with_oracle,
     assert_invisible,
@@ -19,10 +20,8 @@ from tests.core_rasterizer.stress import (
     plain_camera,
     there_and_back,
 )
-from tests.core_rasterizer.test_model import parameters
-from tests.core_rasterizer.test_rasterize import NAMES
 
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-3)
+RATES = rates(1e-3)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 3])
@@ -104,7 +103,7 @@ def test_undefined_logarithms_and_logits_hide_their_gaussian(device: Device) -> 
         (rendering.rgb.sum() + rendering.depth.sum()).backward()
         images.append(rendering.rgb.detach())
     assert torch.equal(*images)
-    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+    for name in PARAMETERS:
         assert not model.gradient(name)[:11].any(), name
         assert torch.equal(model.gradient(name)[11:], healthy.gradient(name)), name
 
@@ -118,7 +117,7 @@ def test_a_logarithm_of_scale_beyond_exp(device: Device, log_scale: float) -> No
     rendering = model.render(plain_camera())
     rendering.rgb.sum().backward()
     assert torch.isfinite(rendering.rgb).all()
-    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh"):
+    for name in PARAMETERS:
         assert torch.isfinite(model.gradient(name)).all(), name
         assert not model.gradient(name)[7].any(), name
 

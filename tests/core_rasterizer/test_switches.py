@@ -17,12 +17,19 @@ from core_rasterizer import (
     Gaussians,
     reference,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.raster import Renderer, RenderRequest
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import (
+    activated,
+    gradients_of,
+    parameters,
+    rates,
+    relative_error,
+    view,
+)
 
 Overrides = Mapping[str, float]
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
+RATES = rates(1e-2)
 
 
 def outcome(
@@ -39,8 +46,7 @@ def outcome(
     rendering = model.render(camera or view())
     images = {"rgb": rendering.rgb, "depth": rendering.depth, "alpha": rendering.alpha}
     sum((image.square().sum() for image in images.values()), torch.zeros(())).backward()
-    gradients = {name: model.gradient(name).clone() for name in PARAMETERS}
-    return {name: image.detach() for name, image in images.items()} | gradients
+    return {name: image.detach() for name, image in images.items()} | gradients_of(model)
 
 
 def pairs(device: Device, overrides: Overrides) -> int:
@@ -51,20 +57,9 @@ def pairs(device: Device, overrides: Overrides) -> int:
     return lease.frame.pairs
 
 
-def relative_error(values: Tensor, truth: Tensor) -> float:
-    return float((values.double() - truth.double()).abs().max() / truth.abs().max())
-
-
 def oracle(gaussians: Gaussians) -> Tensor:
     """The colour image of `reference.py` with its current constants."""
-    return reference.render(
-        gaussians.means.double(),
-        gaussians.quaternions.double(),
-        gaussians.log_scales.double().exp(),
-        gaussians.opacity_logits.double().sigmoid(),
-        gaussians.sh.double(),
-        view(),
-    ).rgb
+    return reference.render(*activated(gaussians), view()).rgb
 
 
 def test_a_setting_that_no_kernel_knows_is_refused(device: Device) -> None:

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Device, photometric_loss, rasterize
-from tests.core_rasterizer.scenes import random_camera, random_scene
-from tests.core_rasterizer.test_rasterize import weighted_loss
+from tests.core_rasterizer.scenes import random_camera, random_scene, weighted_loss
 
 THREADS, ROUNDS = 2, 25
 

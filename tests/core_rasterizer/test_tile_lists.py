@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,11 +23,10 @@ from core_rasterizer import (
     list_devices,
     photometric_loss,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS
-from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists, tile_lists
-from core_rasterizer.raster.budget import RECORD
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters, view
+from core_rasterizer.device import DeviceProfile
+from core_rasterizer.layout import COUNTERS, GAUSSIAN
+from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists
+from tests.core_rasterizer.scenes import parameters, random_camera, rates, view
 
 CUT = 1 / 255
 
@@ -35,7 +35,7 @@ class Lists(NamedTuple):
     """Arrays of a render, on the host."""
 
     records: NDArray[np.float32]
-    """`[N, 16]`, see `scene.cl`."""
+    """`[N, 16]`, see `layout.GAUSSIAN`."""
     pairs: NDArray[np.int32]
     """`[P, 2]`: Gaussian, slot."""
     starts: NDArray[np.int32]
@@ -55,7 +55,7 @@ def lists_of(
         name: frame.arrays[name].read().numpy() for name in ("records", "pairs", "tile_starts")
     }
     return Lists(
-        arrays["records"].reshape(-1, RECORD).copy(),
+        arrays["records"].reshape(-1, GAUSSIAN.size).copy(),
         arrays["pairs"][: 2 * frame.pairs].reshape(-1, 2).copy(),
         arrays["tile_starts"][: tiles + 1].copy(),
         renderer.programs.tile,
@@ -106,7 +106,7 @@ def test_one_launch_for_few_gives_the_lists_of_many(
     expected = lists_of(device)
     model = GaussianModel(parameters(300), device)
     for few in (0, 300, 0, 300):
-        monkeypatch.setattr(model.renderer._lists, "_few", few)
+        monkeypatch.setattr(model.renderer._lists, "_profile", replace(device.profile, few=few))
         lists = lists_of(device, model)
         assert np.array_equal(lists.pairs, expected.pairs)
         assert np.array_equal(lists.starts, expected.starts)
@@ -117,16 +117,16 @@ def test_the_number_of_chunks_changes_nothing(
     device: Device, chunks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = lists_of(device)
-    share_among(chunks, monkeypatch)
-    lists = lists_of(device)
+    lists = lists_of(shared_among(chunks, device, monkeypatch))
     assert np.array_equal(lists.pairs, expected.pairs)
     assert np.array_equal(lists.starts, expected.starts)
 
 
-def share_among(chunks: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tile_lists, "few", lambda device: -1)
-    monkeypatch.setattr(tile_lists, "chunks_of", lambda device: chunks)
-    monkeypatch.setattr(gpu_tile_lists, "chunks_for", lambda elements: chunks)
+def shared_among(chunks: int, device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
+    monkeypatch.setattr(DeviceProfile, "list_chunks", lambda profile, elements: chunks)
+    other = device.as_variant(device.variant)
+    other.profile = replace(device.profile, few=-1, chunks=chunks)
+    return other
 
 
 def many_equal_depths() -> tuple[Gaussians, Camera]:
@@ -144,8 +144,8 @@ def test_many_tiles_and_equal_depths_are_shared_out_as_one_would_have_them(
     gaussians, camera = many_equal_depths()
     lists = []
     for chunks in (1, 256):
-        share_among(chunks, monkeypatch)
-        lists.append(lists_of(device, GaussianModel(gaussians, device), camera))
+        engine = shared_among(chunks, device, monkeypatch)
+        lists.append(lists_of(engine, GaussianModel(gaussians, engine), camera))
     together, alone = lists
     assert np.array_equal(together.pairs, alone.pairs)
     assert np.array_equal(together.starts, alone.starts)
@@ -188,7 +188,7 @@ def trained() -> tuple[Gaussians, Camera]:
         model.zero_gradients()
         rendering = model.render(cameras[step % 2], collect_statistics=True)
         photometric_loss(rendering, targets[step % 2]).backward()
-        optimizer.step(dict.fromkeys(PARAMETER_GROUPS, 2e-2), active_sh_degree=3)
+        optimizer.step(rates(2e-2), active_sh_degree=3)
         if step % 20 == 19:
             busy = model.statistics.screen_gradient() > model.statistics.screen_gradient().median()
             large = model.scales().amax(dim=1) > 0.2
@@ -215,8 +215,8 @@ def tiles_of_16(engine: Device, scene: tuple[Gaussians, Camera]) -> tuple[Any, .
         counts,
         np.where(counts > 0, read["slot_start"][: len(gaussians)], 0),
         read["counters"][:2],
-        candidates_of(renderer) // gpu_tile_lists.chunks_for(len(read["pairs"]) // 2),
-        int(read["counters"][3]),
+        candidates_of(renderer) // engine.profile.list_chunks(len(read["pairs"]) // 2),
+        int(read["counters"][COUNTERS.first["last"]]),
     )
 
 
@@ -245,7 +245,7 @@ def test_a_gpu_makes_the_lists_of_a_cpu_and_no_work_item_takes_long(
     """
     if device.variant == "cpu":
         pytest.skip("compares the other variant with this one")
-    monkeypatch.setattr(gpu_tile_lists, "MACROS", {**gpu_tile_lists.MACROS, "COUNT_STEPS": 1})
+    monkeypatch.setattr(gpu_tile_lists, "MACROS", {"COUNT_STEPS": 1})
     scene = make()
     *ours, share, steps = tiles_of_16(device.as_variant("gpu"), scene)
     *theirs, _, _ = tiles_of_16(device.as_variant("cpu"), scene)

@@ -18,11 +18,9 @@ from core_rasterizer import (
     apply_edit,
 )
 from core_rasterizer.layout import PARAMETERS
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import parameters, rates, view
 
-RATES = dict.fromkeys(
-    ("means", "sh_constant", "sh_rest", "opacity_logits", "log_scales", "quaternions"), 1e-3
-)
+RATES = rates(1e-3)
 
 
 def trained(device: Device, count: int = 50) -> tuple[GaussianModel, Adam]:

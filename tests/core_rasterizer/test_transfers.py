@@ -10,8 +10,7 @@ import torch
 
 from core_rasterizer import Adam, Device, GaussianModel, photometric_loss
 from core_rasterizer.device import DeviceArray
-from tests.core_rasterizer.scenes import random_camera
-from tests.core_rasterizer.test_model import parameters
+from tests.core_rasterizer.scenes import parameters, random_camera
 from tests.core_rasterizer.training import RATES, short_training
 
 WIDTH, HEIGHT = 120, 90

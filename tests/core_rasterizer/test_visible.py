@@ -17,7 +17,7 @@ from core_rasterizer import (
     Rendering,
     rasterize,
 )
-from tests.core_rasterizer.test_model import parameters, view
+from tests.core_rasterizer.scenes import activated, parameters, view
 
 CAMERA = Camera(torch.eye(4), 40, 40, 16, 16, 32, 32)
 
@@ -44,15 +44,7 @@ def test_what_is_visible_and_what_is_not(device: Device) -> None:
     rendering = GaussianModel(gaussians, device).render(CAMERA)
     assert rendering.visible.dtype == torch.bool
     assert rendering.visible.tolist() == expected
-    plain = rasterize(
-        gaussians.means,
-        gaussians.quaternions,
-        gaussians.log_scales.exp(),
-        gaussians.opacity_logits.sigmoid(),
-        gaussians.sh,
-        CAMERA,
-        device=device,
-    )
+    plain = rasterize(*activated(gaussians, torch.float32), CAMERA, device=device)
     assert plain.visible.tolist() == expected
 
 

@@ -16,13 +16,11 @@ from core_rasterizer import (
     list_devices,
     photometric_loss,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS
 from tests.core_rasterizer.options import posed, smoothing_of
-from tests.core_rasterizer.scenes import random_camera
+from tests.core_rasterizer.scenes import parameters, random_camera, rates
 from tests.core_rasterizer.slanted_wall import matching_digest
-from tests.core_rasterizer.test_model import parameters
 
-RATES = dict.fromkeys(PARAMETER_GROUPS, 1e-2)
+RATES = rates(1e-2)
 
 
 def short_training(

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
 
-from registry.system.memory import peak_memory_mb
 from tests.fuzzing.damage import damage
 from tests.fuzzing.guard import Forbidden, watched
 from tests.fuzzing.target import Target
+from tests.host import peak_memory_mb
 
 SLOWEST = 10.0
 """CPU seconds that reading a tiny file may take; `tests/fuzzing/worker.py` ends readers that only wait."""

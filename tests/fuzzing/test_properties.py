@@ -12,19 +12,26 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from core_rasterizer import ExplainedError, load_ply, load_points
-from registry.contract.checks.scene import validate
-from registry.discovery import Plugins
-from registry.errors import PipelineError, SceneError
-from registry.messages.visible_text import is_plain_name
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.settings_check import escape_variables, plain
-from registry.pipeline.yaml_source import parse, to_yaml
-from registry.runs.folder import RunFolder
-from registry.runs.results import Failure, Results, SceneRecord, read_results
-from registry.system.files import jsonable
+from registry import SceneError, validate
+from registry.runs import read_results
 from registry.testing import tiny_scene
-from registry.toolkit.networks.model_file import check_content
 from registry.toolkit.photos import Decoder, Finite, read_array, read_arrays, read_document
+from tests.host import (
+    Failure,
+    PipelineError,
+    Plugins,
+    Results,
+    RunFolder,
+    SceneRecord,
+    check_content,
+    escape_variables,
+    is_plain_name,
+    jsonable,
+    parse_pipeline,
+    parse_yaml,
+    plain,
+    to_yaml,
+)
 from tests.registry.conftest import TOYS
 
 quick = settings(
@@ -82,8 +89,8 @@ def test_documents_of_any_content(content: object, tmp_path: Path) -> None:
 @given(text=YAML_TEXTS)
 def test_yaml_of_any_text(text: str) -> None:
     with suppress(ExplainedError):
-        value = plain(parse(text, "a.yaml"))
-        assert repr(plain(parse(to_yaml(escape_variables(value)), "b.yaml"))) == repr(value)
+        value = plain(parse_yaml(text, "a.yaml"))
+        assert repr(plain(parse_yaml(to_yaml(escape_variables(value)), "b.yaml"))) == repr(value)
 
 
 @quick

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import Device, open_device
-from registry.discovery import GROUP, SELECTION, Plugins
+from tests.host import GROUP, SELECTION, Plugins
 
 TOY_NAMES = (
     *("toy_scene", "toy_points", "toy_prior", "toy_term", "toy_dropout", "toy_growth", "toy_fade"),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import GROUP
+from tests.host import GROUP
 
 PACKAGES = Path(__file__).parents[1] / "faulty_packages"
 NAMES = sorted(folder.parent.name for folder in PACKAGES.glob("*/pyproject.toml"))

@@ -1,3 +1,5 @@
+"""Tests of `registry.discovery`, which import its modules."""
+
 from __future__ import annotations
 
 import sys
@@ -6,8 +8,8 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.contract.hook_points import PIPELINE_POINTS, HookPoint
 from registry.discovery import GROUP, SELECTION, Plugins
+from tests.host import PIPELINE_POINTS, HookPoint
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
@@ -90,7 +92,7 @@ def test_a_plugin_that_registers_nothing_is_told_what_may_lack(install: Install)
     install("mute", "2", {"mute": "mute_module"}, mute_module=bare)
     error = refusal(Plugins(), "mute")
     assert "mute (mute 2)" in error.what
-    assert "@registry.hookimpl" in error.fix
+    assert "@hookimpl" in error.fix
 
 
 @pytest.mark.parametrize("kind", ["ValueError", "SystemExit"])
@@ -112,9 +114,9 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: st
         (metric("x").replace("measure", "meazure"), "does not define measure"),
         (
             metric("x").replace("registry.Metric[registry.Settings]", "object"),
-            "registry.ViewMetric",
+            "stereogs.api.ViewMetric",
         ),
-        (metric("x").replace("registry.Metric[", "registry.Exporter["), "registry.ViewMetric"),
+        (metric("x").replace("registry.Metric[", "registry.Exporter["), "stereogs.api.ViewMetric"),
         (metric("x y"), "is not a word"),
         (metric("x") + '    register("x", Score)\n', "registered twice"),
         (metric("x").replace("pass", "") + "    raise KeyError('k')\n", "KeyError"),
@@ -127,7 +129,7 @@ def test_even_an_import_that_exits_is_refused_by_name(install: Install, kind: st
         ),
         (
             metric("x").replace("    def measure", "    Settings = dict\n    def measure"),
-            "do not derive from registry.Settings",
+            "do not derive from stereogs.api.Settings",
         ),
         (
             metric("x").replace(

@@ -14,11 +14,18 @@ import pytest
 
 import registry
 import stereogs
-from registry.contract.hook_points import HOOK_POINTS, OTHER_HOOKS, HookPoint
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import check
-from stereogs.verbs.new_plugin.package_files import KINDS
+from tests.host import (
+    HOOK_POINTS,
+    KINDS,
+    OTHER_HOOKS,
+    SELECTION,
+    HookPoint,
+    Plugins,
+    parse_pipeline,
+    parse_yaml,
+    validate_settings,
+)
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = (DOCS / "write_a_plugin.md").read_text("utf-8")
@@ -84,12 +91,11 @@ def test_the_pipeline_of_the_tutorial_is_accepted(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_renamed_setting_accepts_its_former_name() -> None:
-    (source,) = re.findall(r"```py\n(from pydantic import AliasChoices.*?)```", PAGE, re.DOTALL)
-    imports, _, field = source.partition("\n\n")
-    scope: dict[str, Any] = {"registry": registry, "__name__": "example"}
-    exec(f"{imports}\n\nclass Renamed(registry.Settings):\n    {field}", scope)
-    for name in ("target", "goal"):
-        settings = scope["Renamed"].model_validate_json(f'{{"{name}": 0.5}}', strict=True)
+    (source,) = re.findall(r"```py\n(from typing import ClassVar\n.*?)```", PAGE, re.DOTALL)
+    scope: dict[str, Any] = {"Settings": registry.Settings, "__name__": "example"}
+    exec(compile(source, "page", "exec", dont_inherit=True), scope)
+    for text in ("target: 0.5", "{goal: 0.5, steepness: 100}"):
+        settings = validate_settings(scope["MySettings"], parse_yaml(text, "old"), "example")
         assert settings.model_dump() == {"target": 0.5}
 
 

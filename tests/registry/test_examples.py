@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 import stereogs
-from registry.discovery import Plugins
-from stereogs.command_line.installed import verbs
+from tests.host import Plugins, verbs
 from tests.packages import ROOT, importable, install, run_python
 
 PACKAGES = sorted(path.parent for path in (ROOT / "docs" / "examples").glob("*/pyproject.toml"))

@@ -11,9 +11,8 @@ import torch
 
 import stereogs
 from registry import PluginError, RunError, Scene
-from registry.errors import PipelineError
 from registry.testing import tiny_scene
-from stereogs.cli import main
+from tests.host import PipelineError, main
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 ITERATIONS = 8
@@ -97,7 +96,7 @@ def test_export_errors_are_explained(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="no kind 'fat'; did you mean 'far'") as caught:
         stereogs.export(run, "toy_files", folder, without=["fat"])
     assert caught.value.fix == "kinds: near, far"
-    with pytest.raises(RunError, match="no Gaussian would remain"):
+    with pytest.raises(RunError, match="all Gaussians would be left out"):
         stereogs.export(run, "toy_files", folder, without=["far", "near"])
     with pytest.raises(PluginError, match="no plugin offers the exporter 'toy_file'"):
         stereogs.export(run, "toy_file", folder)

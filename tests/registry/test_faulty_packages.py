@@ -1,4 +1,7 @@
-"""Errors of faulty plugins name the plugin and do not affect others."""
+"""Errors of faulty plugins name the plugin and do not affect others.
+
+Tests of `registry.calls`, which import its modules.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,9 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.calls.memory import MemoryLedger
 from registry.calls.watchdog import WATCHDOG
-from registry.discovery import GROUP, Plugins
-from registry.pipeline import blame
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.runs.opening import open_run
-from registry.system.memory import resident_bytes
 from registry.toolkit.cache.entries import FOLDER_VARIABLE
-from stereogs.verbs.replay import repeat_failure
+from stereogs import Pipeline
+from tests.host import GROUP, Plugins, load_run, parse_pipeline, repeat_failure, resident_bytes
 from tests.registry.conftest import TOYS
 from tests.registry.faulty import NAMES, installed, module
 
@@ -157,7 +156,7 @@ def test_a_failure_in_the_loop_names_the_plugin_and_keeps_the_last_checkpoint(
     assert IN_THE_LOOP[name] in error.what
     blamed(error, name)
     assert Path.cwd() == before
-    assert open_run(out, plugins=plugins, device=device).iteration == 4
+    assert load_run(out, plugins=plugins, device=device).iteration == 4
 
 
 @pytest.mark.parametrize("name", ONLY_IF_CHECKED)
@@ -181,7 +180,7 @@ def test_invalid_gaussians_are_never_saved_and_replay_repeats_the_failure(
     assert "1 values are not finite" in error.what
     failed = min(start + 1, 8)
     assert error.where == f"log_scales[7]; iteration {failed}"
-    assert open_run(out, plugins=plugins, device=device).iteration == 2 * ((start - 1) // 2)
+    assert load_run(out, plugins=plugins, device=device).iteration == 2 * ((start - 1) // 2)
     with pytest.raises(ExplainedError, match="not finite") as again:
         repeat_failure(out / "failures" / f"iteration-{failed:07d}", plugins=plugins, device=device)
     assert again.value.where == error.where
@@ -203,7 +202,7 @@ def test_a_hang_in_the_loop_ends_with_an_error(
     assert "no answer came within 0.5 s" in error.what
     blamed(error, "hangs")
     assert "stereogs resume" in error.fix
-    assert open_run(out, plugins=plugins, device=device).iteration == 4
+    assert load_run(out, plugins=plugins, device=device).iteration == 4
 
 
 def test_a_hang_while_it_is_imported_ends_with_an_error(make: Make) -> None:
@@ -225,11 +224,11 @@ def test_growing_memory_is_refused_before_memory_runs_out(
 ) -> None:
     pipeline, out = make(component("grows_memory")), tmp_path / "run"
     stereogs.train(make(""), progress=False, device=device)  # initial allocations do not count
-    monkeypatch.setattr(blame, "LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
+    monkeypatch.setattr("registry.calls.call.LEDGER", MemoryLedger(limit=resident_bytes() + 8e7))
     error = refusal(pipeline, out, device)
     assert "memory runs out" in error.what
     blamed(error, "grows_memory", iteration=None)
-    assert open_run(out, plugins=plugins, device=device).iteration in (4, 6)
+    assert load_run(out, plugins=plugins, device=device).iteration in (4, 6)
 
 
 def test_a_thread_that_keeps_running_causes_a_warning(

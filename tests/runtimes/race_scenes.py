@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 
 import torch
 
@@ -37,7 +38,7 @@ from core_rasterizer.matching import (
     right_costs,
     zncc_costs,
 )
-from core_rasterizer.raster import Renderer, tile_lists
+from core_rasterizer.raster import Renderer
 
 COUNT = 400
 """In four chunks of more than one batch on a GPU."""
@@ -65,8 +66,6 @@ def scene() -> Gaussians:
 
 def engine(device: Device) -> None:
     """Two iterations: plain, and with all options of a render; edits between them."""
-    # oclgrind 21.10 computes NaN with the vectors of the CPU's kernels, so here the projection has one lane.
-    device.lanes = 1
     model = GaussianModel(scene(), device, compensate_dilation=True)
     overrides = {"TILE_WIDTH": 8, "TILE_HEIGHT": 8}
     model.renderer = Renderer(device, footprint=model.footprint, overrides=overrides)
@@ -148,8 +147,12 @@ def main() -> None:
     for each in removed:
         name, _, number = each.partition(":")
         without_barrier(name, int(number))
-    tile_lists.FEW = -1  # parallel chunks for these few Gaussians too
     device = open_device().as_variant("cpu" if variant == "cpu" else "gpu").as_discrete()
+    # Parallel chunks for these few Gaussians too.
+    device.profile = replace(device.profile, few=-1)
+    if part == "engine":
+        # oclgrind 21.10 computes NaN with the vectors of the CPU's kernels, so the projection has one lane.
+        device.profile = replace(device.profile, lanes=1)
     {"engine": engine, "matching": matching}[part](device)
     device.finish()
     print(f"finished on {device}")

@@ -24,15 +24,12 @@ import numpy as np
 import torch
 
 from core_rasterizer import Device, ExplainedError, open_device
-from registry.pipeline.pipeline import Pipeline
-from registry.pipeline.training_settings import TrainingSettings
-from registry.runs.options import RunOptions
-from registry.runs.results import read_results
-from registry.runs.training_run import start
+from registry.runs import read_results
 from registry.testing import check, tiny_scene
 from registry.testing.processes import in_other_processes
 from registry.testing.scenes import pipeline_item, pipeline_of
-from stereogs.verbs.other_processes import refuse_different_answers
+from stereogs import Pipeline, RunOptions
+from tests.host import TrainingSettings, refuse_different_answers, start_run
 from tests.sick.cases import Case
 
 Verdict = Literal["named", "warned", "refused", "crash", "harmless", "silent"]
@@ -201,7 +198,7 @@ def _trained(case: Case, sick: type[Any], device: Device, checked: bool) -> dict
     scene, pipeline = tiny_scene(), _pipeline(case, sick)
     options = RunOptions(scene=scene, device=device, progress=False, check_plugins=checked)
     with tempfile.TemporaryDirectory() as name, _restored():
-        run = start(pipeline, options, Path(name) / "run")
+        run = start_run(pipeline, options, Path(name) / "run")
         results = read_results(Path(name) / "run/results.json")
         rows = [row["mean_error"] for split in results["views"].values() for row in split.values()]
         photographs = [float(view.image.sum()) for view in (*run.scene.train, *run.scene.test)]

@@ -1,4 +1,7 @@
-"""The sparse-view protocols through the registry of NerfBaselines: `make nerfbaselines`."""
+"""The sparse-view protocols through the registry of NerfBaselines: `make nerfbaselines`.
+
+Tests of `stereogs.nerfbaselines`, which import its modules.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ import numpy as np
 import pytest
 
 import stereogs
-from registry.pipeline.protocols import load_protocol, protocol_names
 from tests.data import data_folder
+from tests.host import load_protocol, protocol_names
 
 nerfbaselines = pytest.importorskip("nerfbaselines")
 

@@ -11,8 +11,8 @@ import torch
 import stereogs
 from core_rasterizer import Device
 from registry import RunError, SceneError
-from registry.errors import PipelineError
 from registry.testing import tiny_scene
+from tests.host import PipelineError
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 PIPELINE = {
@@ -160,7 +160,7 @@ def test_a_protocol_does_not_apply_to_a_given_scene() -> None:
     pipeline = stereogs.build_pipeline({**PIPELINE, "metrics": []})
     from dataclasses import replace
 
-    from registry.pipeline.protocols import AppliedProtocol, load_protocol
+    from tests.host import AppliedProtocol, load_protocol
 
     claimed = replace(pipeline, protocol=AppliedProtocol(load_protocol("llff-3"), {}))
     with pytest.raises(SceneError, match="'llff-3' does not apply"):

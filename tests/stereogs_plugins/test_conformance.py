@@ -14,9 +14,9 @@ import torch
 
 from core_rasterizer import Gaussians, save_ply
 from registry import Prior, TrainingView
-from registry.discovery import GROUP, Offer, Plugins
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.testing import check, tiny_scene
+from tests.host import GROUP, Offer, Plugins
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.metrics.lpips_network import onnx_difference, sha256
 from tests.stereogs_plugins.priors import graphs

@@ -12,10 +12,8 @@ from torch.nn.functional import avg_pool2d
 
 import stereogs
 from registry import Scene, View
-from registry.discovery import Offer, Plugins
-from registry.pipeline.pipeline import default_schedule
-from registry.runs.evaluation import evaluate
 from tests.data import data_folder
+from tests.host import Offer, Plugins, default_schedule, evaluate
 
 PLUGINS = Plugins()
 OFFERS = [

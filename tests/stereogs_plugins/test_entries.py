@@ -6,7 +6,7 @@ import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from registry.discovery import GROUP, Plugins, offered_name
+from tests.host import GROUP, Plugins, offered_name
 
 
 def test_each_entry_offers_what_it_is_named_after() -> None:

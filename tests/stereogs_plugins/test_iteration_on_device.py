@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
-from core_rasterizer.device import Program, Variant
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
-from registry.training.initial_model import initial_gaussians
-from registry.training.trainer import Trainer
 from tests.core_rasterizer.traffic import Traffic, counted
+from tests.host import Parts, Plugins, Trainer, Variant, initial_gaussians, parse_pipeline
 
 PIPELINE = """\
 name: t
@@ -77,21 +70,14 @@ def test_an_iteration_moves_no_image_and_waits_five_times(
 
 
 def test_only_iterations_with_a_reader_store_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernels: list[str] = []
-    run = Program.run
-
-    def counted(self: Program, kernel: str, *arguments: Any) -> None:
-        kernels.append(kernel)
-        run(self, kernel, *arguments)
-
-    monkeypatch.setattr(Program, "run", counted)
     every_second = PIPELINE.replace(
         "scope: contributing", "scope: contributing, every: 2, phase: 0"
     )
     trainer = trainer_on(open_device(), every_second.replace("every: 4", "every: 100"))
-    for done in trainer.run():
-        # Decay reads gradients in every second iteration, and the host looks at those of the first.
-        stored = done.number == 1 or done.number % 2 == 0
-        assert kernels.count("project_backward") == stored
-        assert kernels.count("project_backward_and_step") == (not stored)
-        kernels.clear()
+    with counted(monkeypatch) as traffic:
+        for done in trainer.run():
+            # Decay reads gradients in every second iteration, and the host looks at those of the first.
+            stored = done.number == 1 or done.number % 2 == 0
+            assert traffic.kernels["project_backward"] == stored
+            assert traffic.kernels["project_backward_and_step"] == (not stored)
+            traffic.kernels.clear()

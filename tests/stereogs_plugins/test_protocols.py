@@ -8,12 +8,9 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import open_device
-from registry.contract.scene import Scene
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts, load_scene
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.protocols import load_protocol, protocol_names
+from registry import Scene
 from tests.data import data_folder
+from tests.host import Parts, Plugins, load_protocol, load_scene, parse_pipeline, protocol_names
 
 TEXT = """\
 name: under-protocol

@@ -9,7 +9,7 @@ import pytest
 
 import stereogs
 from core_rasterizer import Engine, GaussianModel, open_device
-from registry.runs.run import Run
+from stereogs import Run
 from tests.torch_engine import TorchEngine, TorchModel
 
 PIPELINE = """\

@@ -14,11 +14,9 @@ import torch
 
 import stereogs
 from core_rasterizer import open_device
-from registry.discovery import Offer, Plugins
-from registry.pipeline.parts import Part, Parts
-from registry.pipeline.pipeline import Pipeline
 from registry.testing import tiny_scene
-from registry.training.trainer import Trainer
+from stereogs import Pipeline
+from tests.host import Offer, Part, Parts, Plugins, Trainer
 from tests.stereogs_plugins.priors import graphs
 
 PLUGINS = Plugins()

@@ -11,19 +11,9 @@
 #define GRADIENT __global real
 #endif
 
-/* Kernel arguments, and their selection by group. Arrays keep the selection out of the loop; a chain of ?: took
- * a tenth longer. */
-#define ADAM_RATES                                                                                \
-    real means, real log_scales, real quaternions, real opacity_logits, real sh_constant,         \
-        real sh_rest, real correct_means, real correct_log_scales, real correct_quaternions,      \
-        real correct_opacity_logits, real correct_sh_constant, real correct_sh_rest
-#define ADAM_RATES_BY_GROUP                                                                       \
-    const real rates[] = {means, log_scales, quaternions, opacity_logits, sh_constant, sh_rest};  \
-    const real corrections[] = {correct_means, correct_log_scales, correct_quaternions,           \
-        correct_opacity_logits, correct_sh_constant, correct_sh_rest};
-#define ADAM_GROUP_OF(row)                                                                        \
-    ((row >= ROW_SCALE) + (row >= ROW_QUATERNION) + (row >= ROW_OPACITY) + (row >= ROW_SH)        \
-        + (row >= ROW_SH + 3))
+/* layout.py generates the kernel arguments ADAM_RATES and their selection by group: ADAM_RATES_BY_GROUP declares
+ * the arrays `rates` and `corrections`, which keep the selection out of the loop; a chain of ?: took a tenth
+ * longer. */
 
 #define BETA1 ((real)0.9)
 #define BETA2 ((real)0.999)

@@ -20,7 +20,7 @@
  */
 
 #define BORDER (RADIUS * CHANNELS)
-#define ROWS 2 /* image rows of a step: each row that is loaded serves both */
+/* ROWS: image rows of a step; each row that is loaded serves all. */
 #define RING (TAPS + ROWS - 1) /* rows of derivatives that a step looks at */
 
 /* Start of the next block; see the note on a row's last block. */

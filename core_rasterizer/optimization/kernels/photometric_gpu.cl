@@ -1,8 +1,7 @@
-/* L1 + D-SSIM on a GPU: a work-group takes a tile of 16x16 pixels, with what its windows reach in local
+/* L1 + D-SSIM on a GPU: a work-group takes a tile of TILE x TILE pixels, with what its windows reach in local
  * memory, one channel after another. `dissimilarity` writes the derivatives of SSIM, `gradient` filters them
  * again: neighbouring tiles share them through global memory instead of computing them twice. */
 
-#define TILE 16
 #define GROUP (TILE * TILE)
 #define AROUND (TILE + 2 * RADIUS)
 #define AREA (AROUND * AROUND)

@@ -7,11 +7,8 @@
  * This equals the usual formula, but does not cancel as x approaches y: for equal images the loss and its
  * gradient are exactly 0. */
 
-#define CHANNELS 3
-#define RADIUS 5
+/* CHANNELS, RADIUS, MAPS, DERIVATIVES and ROWS come from photometric.py. */
 #define TAPS (2 * RADIUS + 1)
-#define MAPS 4
-#define DERIVATIVES 3
 #define C1 ((real)0.0001)
 #define C2 ((real)0.0009)
 

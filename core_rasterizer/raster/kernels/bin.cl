@@ -4,30 +4,30 @@
  * not be sorted. Each (tile, Gaussian) pair also gets a slot; the slots of one Gaussian are contiguous, so
  * that its gradient is a sum over contiguous memory in a fixed order. */
 
-#define LOT (1u << 20)
+#define PAIRS_PER_REPORT (1u << 20) /* of a chunk to the shared count */
 #define ORDER_AHEAD 16 /* Gaussians to prefetch ahead: depth order is random order in memory */
 
 /* Counts pairs by tile for Gaussians [begin, end) of the depth order; returns how many there are. Chunks
- * sum their lots of pairs in `lots`; beyond the limit the render fails, so all stop early. The total is then
+ * report their pairs in `reports`; beyond the limit the render fails, so all stop early. The total is then
  * incomplete, but above the limit too. */
 static inline uint count_tiles_in(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
-    __global uint *mine, volatile __global uint *lots, size_t begin, size_t end, uint tiles,
+    __global uint *mine, volatile __global uint *reports, size_t begin, size_t end, uint tiles,
     int tiles_x, uint pair_limit)
 {
     for (uint tile = 0; tile < tiles; tile++)
         mine[tile] = 0;
     ulong pairs = 0, reported = 0;
-    for (size_t r = begin; r < end && *lots <= pair_limit / LOT; r++) {
+    for (size_t r = begin; r < end && *reports <= pair_limit / PAIRS_PER_REPORT; r++) {
         if (r + ORDER_AHEAD < end)
             PREFETCH(covers + order[r + ORDER_AHEAD]);
         const uint4 cover = covers[order[r]];
-        FOR_EACH_TILE(cover, records + (size_t)order[r] * RECORD, {
+        FOR_EACH_TILE(cover, records + (size_t)order[r] * REC_SIZE, {
             mine[tile]++;
             pairs++;
         })
-        for (; pairs - reported >= LOT; reported += LOT)
-            atomic_inc(lots);
+        for (; pairs - reported >= PAIRS_PER_REPORT; reported += PAIRS_PER_REPORT)
+            atomic_inc(reports);
     }
     return (uint)pairs; /* little more than the limit, which is well below 2^32 */
 }
@@ -48,7 +48,7 @@ static inline void fill_tiles_in(
         }
         const uint4 cover = covers[gaussian];
         slot_start[gaussian] = slot;
-        FOR_EACH_TILE(cover, records + (size_t)gaussian * RECORD,
+        FOR_EACH_TILE(cover, records + (size_t)gaussian * REC_SIZE,
             { pairs[mine[tile]++] = (uint2)(gaussian, slot++); })
         slot_count[gaussian] = slot - slot_start[gaussian];
     }
@@ -77,7 +77,7 @@ void fill_tiles(
 {
     const size_t chunks = get_global_size(0), chunk = get_global_id(0);
     if (chunk == 0)
-        chunk_starts[chunks] = 0; /* the lots of the next count */
+        chunk_starts[chunks] = 0; /* the reports of the next count */
     if (counters[COUNT_PAIRS] > pair_capacity)
         return;
     __global uint *mine = counts + chunk * tiles;

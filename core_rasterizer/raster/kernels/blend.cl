@@ -45,26 +45,26 @@ typedef struct {
     lane raw;         /* opacity times the Gaussian's value, unclamped */
     lane alpha;       /* clamped at 0.99; 0 below the cut-off */
     lane weight;      /* alpha times transmittance; 0 where nothing is added */
-    lane next;        /* transmittance behind the Gaussian; meaningful where `open` */
-    lane_mask open;   /* the pixel was not finished, and is not finished by this Gaussian */
-} meeting;
+    lane next;        /* transmittance behind the Gaussian; meaningful where `unfinished` */
+    lane_mask unfinished; /* the pixel was not finished, and is not finished by this Gaussian */
+} contribution;
 
 /* `transmittance` is negative in finished pixels. A pixel finishes before the Gaussian that would lower its
  * transmittance to 1e-4 or below. */
-static inline meeting meet(lane exponent, real opacity, lane transmittance)
+static inline contribution contribution_at(lane exponent, real opacity, lane transmittance)
 {
-    meeting m;
+    contribution m;
     m.raw = opacity * power_of_two(LANE_MIN(exponent, (lane)0));
     m.alpha = LANE_MIN(m.raw, (lane)ALPHA_MAX);
     m.alpha = m.alpha >= (lane)ALPHA_CUT ? m.alpha : (lane)0;
     m.next = transmittance * (1 - m.alpha);
-    m.open = m.next > (lane)TRANSMITTANCE_STOP;
-    m.weight = m.open ? m.alpha * transmittance : (lane)0;
+    m.unfinished = m.next > (lane)TRANSMITTANCE_STOP;
+    m.weight = m.unfinished ? m.alpha * transmittance : (lane)0;
     return m;
 }
 
 /* The transmittance to keep: the new one, or the old one marked finished. */
-static inline lane keep_transmittance(meeting m, lane transmittance)
+static inline lane keep_transmittance(contribution m, lane transmittance)
 {
-    return m.open ? m.next : -lane_abs(transmittance);
+    return m.unfinished ? m.next : -lane_abs(transmittance);
 }

@@ -31,7 +31,7 @@ void lists_of_few(
     starts_of(counts, BUCKETS);
     scatter_digits_in(keys_b, order_b, keys_a, order_a, counts, 0, visible, 2 * DIGIT_BITS, 0);
 
-    /* The first element of keys_b is free now and counts the lots. */
+    /* The first element of keys_b is free now and counts the reports. */
     keys_b[0] = 0;
     const uint found = count_tiles_in(
         records, covers, order_a, tile_starts, keys_b, 0, visible, tiles, tiles_x, pair_limit);

@@ -4,7 +4,7 @@
  * waits for a large Gaussian. A pair's slot is its rank among the candidates that are reached; sorting the
  * pairs by tile, stably, gives the lists. */
 
-#define LOT (1u << 14)
+#define PAIRS_PER_REPORT (1u << 14) /* of a work-item to the shared count */
 
 static inline int is_large(uint4 cover)
 {
@@ -59,7 +59,7 @@ void scan_candidates(
     if (id == 0)
         totals[get_group_id(0)] = carry;
     if (id == 0 && get_group_id(0) == 0)
-        chunk_pairs[pair_chunks] = 0; /* the lots of `count_pairs` */
+        chunk_pairs[pair_chunks] = 0; /* the reports of `count_pairs` */
     END_STEPS(counters);
 }
 
@@ -110,7 +110,7 @@ static inline int tile_of_candidate(
     return y * tiles_x + x;
 }
 
-/* chunk_pairs[chunk]: the pairs among the chunk's share of the candidates. All sum their lots of pairs in the
+/* chunk_pairs[chunk]: the pairs among the chunk's share of the candidates. All report their pairs to the
  * element after the last chunk; beyond the limit the render fails, so all stop early. */
 __kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
 void count_pairs(
@@ -125,22 +125,22 @@ void count_pairs(
     const uint visible = (uint)counters[COUNT_VISIBLE];
     const ulong candidates = starts_of_runs(&memory, starts, totals, runs);
     const ulong end = candidates * (chunk + 1) / chunks;
-    volatile __global uint *lots = chunk_pairs + chunks;
+    volatile __global uint *reports = chunk_pairs + chunks;
     owner found = {0, 0, 0};
     ulong pairs = 0, total;
     for (ulong candidate = candidates * chunk / chunks + get_local_id(0);
-         candidate < end && *lots <= pair_limit / LOT; candidate += LIST_GROUP) {
+         candidate < end && *reports <= pair_limit / PAIRS_PER_REPORT; candidate += LIST_GROUP) {
         const uint searched
             = find_owner(starts, offsets, run_bits, visible, candidates, candidate, &found);
         STEPS(searched + 1);
         const uint gaussian = order[found.rank];
         const uint4 cover = covers[gaussian];
         if (is_large(cover)
-            && tile_of_candidate(cover, records + (size_t)gaussian * RECORD,
+            && tile_of_candidate(cover, records + (size_t)gaussian * REC_SIZE,
                    (uint)(candidate - found.first), 0) < 0)
             continue;
-        if (++pairs % LOT == 0)
-            atomic_inc(lots);
+        if (++pairs % PAIRS_PER_REPORT == 0)
+            atomic_inc(reports);
     }
     scan_group(&memory, pairs, &total);
     /* Beyond the limit the exact number does not matter, but it must not overflow. */
@@ -192,7 +192,7 @@ void emit_pairs(
             gaussian = order[found.rank];
             cover = covers[gaussian];
             is_first = candidate == found.first;
-            tile = tile_of_candidate(cover, records + (size_t)gaussian * RECORD,
+            tile = tile_of_candidate(cover, records + (size_t)gaussian * REC_SIZE,
                 (uint)(candidate - found.first), tiles_x);
         }
         ulong total;

@@ -12,8 +12,8 @@ static inline void store_records(__global real *records, size_t i, lane *field)
     transpose(field + LANES);
 #pragma unroll
     for (int l = 0; l < LANES; l++) {
-        STORE_GLOBAL(records + (i + l) * RECORD, field[l]);
-        STORE_GLOBAL(records + (i + l) * RECORD + LANES, field[LANES + l]);
+        STORE_GLOBAL(records + (i + l) * REC_SIZE, field[l]);
+        STORE_GLOBAL(records + (i + l) * REC_SIZE + LANES, field[LANES + l]);
     }
 #endif
 }
@@ -92,7 +92,7 @@ static inline void project_and_pack(
     if (!any)
         return;
 
-    lane field[RECORD], color[3];
+    lane field[REC_SIZE], color[3];
     shade(color, parameters, capacity, i, camera, degree);
 #pragma unroll
     for (int channel = 0; channel < 3; channel++) {
@@ -130,7 +130,7 @@ static inline void project_and_pack(
     for (int l = 0; l < LANES; l++)
         if (LANE_AT_MASK(visible, l) && i + l < count) {
             const uint4 cover = cover_of(
-                boxes, l, records + (i + l) * RECORD, LANE_AT(floor_of_alpha, l));
+                boxes, l, records + (i + l) * REC_SIZE, LANE_AT(floor_of_alpha, l));
             covers[i + l] = cover;
             if (cover.z | cover.w)
                 keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */

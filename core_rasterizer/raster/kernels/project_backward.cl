@@ -20,20 +20,20 @@ static inline void sum_pairs(
     __global const uint *slot_count, size_t i)
 {
 #pragma unroll
-    for (int k = 0; k < PAIR; k++)
+    for (int k = 0; k < PAIR_SIZE; k++)
         sums[k] = (lane)0;
 #pragma unroll
     for (int l = 0; l < LANES; l++) {
         const uint slots = slot_count[i + l]; /* where it is 0, slot_start is undefined */
-        __global const real *slot = pair_sums + (size_t)(slots ? slot_start[i + l] : 0) * PAIR;
-        for (uint s = 0; s < slots; s++, slot += PAIR)
+        __global const real *slot = pair_sums + (size_t)(slots ? slot_start[i + l] : 0) * PAIR_SIZE;
+        for (uint s = 0; s < slots; s++, slot += PAIR_SIZE)
 #if LANES == 1
 #pragma unroll
-            for (int q = 0; q < PAIR / 4; q++)
+            for (int q = 0; q < PAIR_SIZE / 4; q++)
                 vstore4(vload4(q, sums) + ((__global const quad *)slot)[q], q, sums);
 #else
 #pragma unroll
-            for (int k = 0; k < PAIR / LANES; k++)
+            for (int k = 0; k < PAIR_SIZE / LANES; k++)
                 sums[k * LANES + l] += LOAD_GLOBAL(slot + k * LANES);
 #endif
     }
@@ -49,7 +49,7 @@ static inline void prefetch_slots(__global const real *pair_sums, __global const
 {
 #pragma unroll
     for (int l = 0; l < LANES; l++)
-        PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR);
+        PREFETCH(pair_sums + (size_t)slot_start[l] * PAIR_SIZE);
 }
 
 /* Hardware does not prefetch sixty rows that are written either, and an uncached line is read before it is
@@ -242,8 +242,8 @@ static inline void backward_of_block(
 {
     const size_t stride = capacity;
 #ifdef POSED
-    pose_sums += i / LANES * POSE;
-    for (int k = 0; k < POSE; k++)
+    pose_sums += i / LANES * POSE_SIZE;
+    for (int k = 0; k < POSE_SIZE; k++)
         pose_sums[k] = 0;
 #endif
     const int rows = ROW_SH + 3 * (degree + 1) * (degree + 1);
@@ -265,7 +265,7 @@ static inline void backward_of_block(
     }
     prefetch_rows(parameters, stride, i, rows);
     prefetch_slots(pair_sums, slot_start + (i + LANES < count ? i + LANES : i));
-    lane sums[PAIR];
+    lane sums[PAIR_SIZE];
     sum_pairs(sums, pair_sums, slot_start, slot_count, i);
     /* Sums are exactly zero for untouched Gaussians; selecting by them keeps undefined values below from
      * reaching a gradient (0 times infinity is not 0). */
@@ -356,16 +356,9 @@ void project_backward(
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
     __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
     uint capacity, int degree, int activated, int modified, int accumulate, int collect,
-    int detached
-#ifdef POSED
-    , __global wide *pose_sums
-#endif
-)
+    int detached, __global wide *pose_sums /* of kernels with POSED; others ignore it */)
 {
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
-#ifndef POSED
-    __global wide *pose_sums = 0;
-#endif
     for (size_t i = begin; i < begin + PROJECT_SPAN && i < count; i += LANES)
         backward_of_block(parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
             gradients + i, capacity, statistics, count, capacity, degree, activated, modified,

@@ -165,7 +165,7 @@ static inline pair rounded(pair sum)
 
 static inline pair camera_number(__global const wide *camera, int index)
 {
-    const pair number = {(lane)camera[index], (lane)camera[CAMERA_REST + index]};
+    const pair number = {(lane)camera[index], (lane)camera[CAMERA_SIZE + index]};
     return number;
 }
 

@@ -59,7 +59,7 @@ typedef struct {
 
 /* Leaves out rows where a slanted ellipse of alpha >= 1/255 does not reach the COLUMNS columns from `x` on. The
  * exponent is c (dy - slope dx)^2 + e dx^2 with slope = -b / (2 c) and e = a - b^2 / (4 c). */
-static inline void narrow(
+static inline void skip_rows_outside(
     column_part *part, __global const real *g, pixel_box box, tile_area area, int x,
     real floor_of_alpha)
 {
@@ -87,7 +87,7 @@ static inline void narrow(
 }
 
 /* Pixels outside the image start finished, so that no other code tests for the image's edge. */
-static inline void open_pixels(real *transmittance, tile_area area)
+static inline void start_pixels(real *transmittance, tile_area area)
 {
     for (int i = 0; i < PIXELS; i++)
         transmittance[i] = (real)-1;
@@ -157,11 +157,11 @@ static inline __attribute__((always_inline)) void blend(
         const lane square = a * dx * dx, slope = b * dx;
         column_part part = {AT(x, box.y0), AT(x, box.y1), first_dy};
         if (slanted)
-            narrow(&part, g, box, area, x, floor_of_alpha);
+            skip_rows_outside(&part, g, box, area, x, floor_of_alpha);
         lane dy = part.dy;
         for (int i = part.begin; i < part.end; i += STRIDE, dy += ROWS) {
             const lane before = LOAD(t + i);
-            const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+            const contribution m = contribution_at(square + dy * (slope + c * dy), opacity, before);
             STORE(t + i, keep_transmittance(m, before));
             STORE(red + i, LOAD(red + i) + m.weight * r);
             STORE(green + i, LOAD(green + i) + m.weight * gr);
@@ -188,16 +188,16 @@ void raster(
         return;
     }
     real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS];
-    open_pixels(t, area);
+    start_pixels(t, area);
     for (int i = 0; i < PIXELS; i++)
         red[i] = green[i] = blue[i] = z[i] = 0;
 
     for (uint p = begin; p < end; p++) {
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
             break;
-        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        __global const real *g = records + (size_t)pairs[p].x * REC_SIZE;
         if (p + PAIRS_AHEAD < end)
-            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * REC_SIZE);
         const pixel_box box = box_in(g, area);
         if (is_slanted(g, box))
             blend(g, area, box, t, red, green, blue, z, 1);
@@ -298,11 +298,11 @@ static inline __attribute__((always_inline)) void blend_backward(
         lane column_p = (lane)0, column_py = (lane)0, column_pyy = (lane)0;
         column_part part = {AT(x, box.y0), AT(x, box.y1), first_dy};
         if (slanted)
-            narrow(&part, g, box, area, x, floor_of_alpha);
+            skip_rows_outside(&part, g, box, area, x, floor_of_alpha);
         lane dy = part.dy;
         for (int i = part.begin; i < part.end; i += STRIDE, dy += ROWS) {
             const lane before = LOAD(t + i);
-            const meeting m = meet(square + dy * (slope + c * dy), opacity, before);
+            const contribution m = contribution_at(square + dy * (slope + c * dy), opacity, before);
             STORE(t + i, keep_transmittance(m, before));
             const lane d_red = LOAD(red + i), d_green = LOAD(green + i), d_blue = LOAD(blue + i);
             lane value = r * d_red + gr * d_green + bl * d_blue;
@@ -352,7 +352,7 @@ static inline __attribute__((always_inline)) void walk_back(
         return;
     const tile_area area = area_of(tile, tiles_x, camera);
     real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS], rest[PIXELS];
-    open_pixels(t, area);
+    start_pixels(t, area);
     load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
         d_alpha, red, green, blue, z, rest);
 
@@ -360,10 +360,10 @@ static inline __attribute__((always_inline)) void walk_back(
     for (; p < end; p++) {
         if ((p - begin) % CHECK_EVERY == CHECK_EVERY - 1 && all_finished(t))
             break;
-        __global const real *g = records + (size_t)pairs[p].x * RECORD;
+        __global const real *g = records + (size_t)pairs[p].x * REC_SIZE;
         if (p + PAIRS_AHEAD < end) {
-            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * RECORD);
-            PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + PAIRS_AHEAD].y * PAIR);
+            PREFETCH(records + (size_t)pairs[p + PAIRS_AHEAD].x * REC_SIZE);
+            PREFETCH_TO_WRITE(pair_sums + (size_t)pairs[p + PAIRS_AHEAD].y * PAIR_SIZE);
         }
         const pixel_box box = box_in(g, area);
         lane_sums sums = {(lane)0};
@@ -373,7 +373,7 @@ static inline __attribute__((always_inline)) void walk_back(
         else
             blend_backward(
                 g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 0);
-        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR);
+        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR_SIZE);
         out[0] = sum_quad(sums.p, sums.px, sums.py, sums.pxx);
         out[1] = sum_quad(sums.pxy, sums.pyy, sums.red, sums.green);
 #ifdef ABSOLUTE
@@ -385,7 +385,7 @@ static inline __attribute__((always_inline)) void walk_back(
     }
     for (; p < end; p++)
         for (int k = 0; k <= PAIR_LAST; k++)
-            pair_sums[(size_t)pairs[p].y * PAIR + k] = 0;
+            pair_sums[(size_t)pairs[p].y * PAIR_SIZE + k] = 0;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))

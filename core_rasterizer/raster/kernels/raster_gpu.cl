@@ -2,19 +2,18 @@
  * memory. The pair buffer is the same as on a CPU. */
 
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
-#define BATCH 32 /* records staged at a time */
 
 #define BOX(quads) ((quads)[REC_X0 / 4])
 #define LOAD_RECORD(g, quads)                                                                     \
-    real g[RECORD];                                                                               \
+    real g[REC_SIZE];                                                                               \
     for (int q = 0; q < QUADS; q++)                                                               \
         vstore4((quads)[q], q, g)
 
-/* Copies the records of pairs [p, p + BATCH) into local memory. */
+/* Copies the records of pairs [p, p + BUCKET) into local memory. */
 static inline void stage(
     __local quad *staged, __global const quad *records, __global const uint2 *pairs, uint p, uint end)
 {
-    for (uint k = get_local_id(0); k < BATCH * QUADS; k += GROUP)
+    for (uint k = get_local_id(0); k < BUCKET * QUADS; k += GROUP)
         if (p + k / QUADS < end)
             staged[k] = records[(size_t)pairs[p + k / QUADS].x * QUADS + k % QUADS];
 }
@@ -43,14 +42,14 @@ static inline int in_box(quad box, int x, int y)
     return right > box.s0 && right <= box.s1 && bottom > box.s2 && bottom <= box.s3;
 }
 
-/* True in every work-item if `open` is true in any. */
-static inline int any_in_group(__local int *flag, int open)
+/* True in every work-item if `flagged` is true in any. */
+static inline int any_in_group(__local int *flag, int flagged)
 {
     barrier(CLK_LOCAL_MEM_FENCE);
     if (get_local_id(0) == 0)
         *flag = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (open)
+    if (flagged)
         *flag = 1;
     barrier(CLK_LOCAL_MEM_FENCE);
     return *flag;
@@ -63,7 +62,7 @@ void raster(
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
     uint pair_capacity)
 {
-    __local quad staged[BATCH * QUADS];
+    __local quad staged[BUCKET * QUADS];
     __local int flag;
     if (counters[COUNT_PAIRS] > pair_capacity)
         return;
@@ -75,19 +74,19 @@ void raster(
     real t = in_image ? 1 : -1, red = 0, green = 0, blue = 0, z = 0;
 
     const uint end = tile_starts[tile + 1];
-    for (uint p = tile_starts[tile]; p < end; p += BATCH) {
+    for (uint p = tile_starts[tile]; p < end; p += BUCKET) {
         if (!any_in_group(&flag, t > 0))
             break;
         stage(staged, records, pairs, p, end);
         barrier(CLK_LOCAL_MEM_FENCE);
-        const uint batch = min((uint)BATCH, end - p);
+        const uint batch = min((uint)BUCKET, end - p);
         for (uint k = 0; k < batch; k++) {
             __local const quad *quads = staged + k * QUADS;
             if (t < 0 || !in_box(BOX(quads), x, y))
                 continue;
             LOAD_RECORD(g, quads);
             const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
-            const meeting m = meet(exponent, g[REC_OPACITY], t);
+            const contribution m = contribution_at(exponent, g[REC_OPACITY], t);
             t = keep_transmittance(m, t);
             red += m.weight * g[REC_RED];
             green += m.weight * g[REC_GREEN];
@@ -109,27 +108,25 @@ void raster(
 
 /* The backward pass has one work-item per pair, not per pixel, so no sum crosses work-items
  * (Taming 3DGS, Mallick et al. 2024, section 4.3). A bucket is BUCKET neighbouring pairs of a tile. First,
- * `checkpoint` walks each tile like `raster` and stores the state of every pixel before each bucket; then
+ * `save_pixel_states` walks each tile like `raster` and stores the state of every pixel before each bucket; then
  * the buckets are independent. Bucket k of a tile has the place tile_starts[tile] / BUCKET + tile + k, which no
  * other has, without a prefix sum. */
-
-#define BUCKET BATCH
 
 static inline uint place_of_buckets(__global const uint *tile_starts, uint tile)
 {
     return tile_starts[tile] / BUCKET + tile;
 }
 
-/* Stores transmittance and `rest` (see raster_cpu.cl) of each pixel, or in `open` that all are finished. */
+/* Stores transmittance and `rest` (see raster_cpu.cl) of each pixel, or in `unfinished` that none is unfinished. */
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void checkpoint(
+void save_pixel_states(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
-    __global const real *d_depth, __global const real *d_alpha, __global real *checkpoints,
-    __global uint *open, int tiles_x, int with_depth)
+    __global const real *d_depth, __global const real *d_alpha, __global real *pixel_states,
+    __global uint *unfinished, int tiles_x, int with_depth)
 {
-    __local quad staged[BATCH * QUADS];
+    __local quad staged[BUCKET * QUADS];
     __local int flag;
     const uint tile = get_group_id(0), local_id = get_local_id(0);
     const int x = (int)(tile % tiles_x) * TILE_WIDTH + (int)(local_id % TILE_WIDTH);
@@ -152,11 +149,11 @@ void checkpoint(
     for (uint p = tile_starts[tile]; p < end; p += BUCKET, place++) {
         any = any && any_in_group(&flag, t > 0);
         if (local_id == 0)
-            open[place] = any;
+            unfinished[place] = any;
         if (!any) /* the same for the whole group */
             continue;
-        checkpoints[place * 2 * GROUP + local_id] = t;
-        checkpoints[(place * 2 + 1) * GROUP + local_id] = rest;
+        pixel_states[place * 2 * GROUP + local_id] = t;
+        pixel_states[(place * 2 + 1) * GROUP + local_id] = rest;
         if (p + BUCKET >= end)
             break;
         stage(staged, records, pairs, p, end);
@@ -167,7 +164,7 @@ void checkpoint(
                 continue;
             LOAD_RECORD(g, quads);
             const real exponent = exponent_at(g, distance_x(g, x), distance_y(g, y));
-            const meeting m = meet(exponent, g[REC_OPACITY], t);
+            const contribution m = contribution_at(exponent, g[REC_OPACITY], t);
             t = keep_transmittance(m, t);
             rest -= m.weight
                 * (g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z);
@@ -182,7 +179,7 @@ typedef struct {
 
 static inline void load_pixels(
     __local tile_pixels *pixels, uint tile, int tiles_x, __global const wide *camera,
-    __global const real *d_rgb, __global const real *d_depth, __global const real *checkpoint,
+    __global const real *d_rgb, __global const real *d_depth, __global const real *state,
     int with_depth)
 {
     const int width = (int)camera[CAMERA_WIDTH], height = (int)camera[CAMERA_HEIGHT];
@@ -191,8 +188,8 @@ static inline void load_pixels(
         const int y = (int)(tile / tiles_x) * TILE_HEIGHT + k / TILE_WIDTH;
         const int inside = x < width && y < height;
         const size_t pixel = inside ? (size_t)y * width + x : 0;
-        pixels->t[k] = checkpoint[k];
-        pixels->rest[k] = checkpoint[GROUP + k];
+        pixels->t[k] = state[k];
+        pixels->rest[k] = state[GROUP + k];
         pixels->red[k] = d_rgb[3 * pixel];
         pixels->green[k] = d_rgb[3 * pixel + 1];
         pixels->blue[k] = d_rgb[3 * pixel + 2];
@@ -207,7 +204,7 @@ static inline void add_pixel(
     const real t = pixels->t[k], dx = distance_x(g, x), dy = distance_y(g, y);
     const real red = pixels->red[k], green = pixels->green[k], blue = pixels->blue[k],
                z = pixels->z[k];
-    const meeting m = meet(exponent_at(g, dx, dy), g[REC_OPACITY], t);
+    const contribution m = contribution_at(exponent_at(g, dx, dy), g[REC_OPACITY], t);
     pixels->t[k] = keep_transmittance(m, t);
     const real value
         = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;
@@ -233,14 +230,14 @@ static inline void add_pixel(
     sums[PAIR_TOUCHED] += m.weight;
 }
 
-/* One work-group per bucket. In each round a work-item meets one pixel, a round after the work-item of the
- * pair before, so that pixels meet pairs in depth order and pairs sum over pixels in a fixed order. Each
+/* One work-group per bucket. In each round a work-item takes one pixel, a round after the work-item of the
+ * pair before, so that pixels take pairs in depth order and pairs sum over pixels in a fixed order. Each
  * work-item keeps its record in registers: in local memory all records begin in the same two banks. */
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
 void raster_backward(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *d_rgb, __global const real *d_depth,
-    __global const real *checkpoints, __global const uint *open, __global quad *pair_sums, uint tiles,
+    __global const real *pixel_states, __global const uint *unfinished, __global quad *pair_sums, uint tiles,
     int tiles_x, int with_depth)
 {
     __local tile_pixels pixels;
@@ -260,14 +257,14 @@ void raster_backward(
     if (first >= end) /* an unused place */
         return;
     const int has_pair = first + id < end;
-    real sums[PAIR];
-    for (int k = 0; k < PAIR; k++)
+    real sums[PAIR_SIZE];
+    for (int k = 0; k < PAIR_SIZE; k++)
         sums[k] = 0;
-    if (open[place]) { /* the same for the whole group */
+    if (unfinished[place]) { /* the same for the whole group */
         __global const quad *quads = records + (has_pair ? (size_t)pairs[first + id].x : 0) * QUADS;
         LOAD_RECORD(g, quads);
         const quad box = has_pair ? BOX(quads) : (quad)0;
-        load_pixels(&pixels, tile, tiles_x, camera, d_rgb, d_depth, checkpoints + place * 2 * GROUP,
+        load_pixels(&pixels, tile, tiles_x, camera, d_rgb, d_depth, pixel_states + place * 2 * GROUP,
             with_depth);
         const int x0 = (int)(tile % tiles_x) * TILE_WIDTH, y0 = (int)(tile / tiles_x) * TILE_HEIGHT;
         for (int round = 0; round < GROUP + BUCKET - 1; round++) {
@@ -279,5 +276,5 @@ void raster_backward(
     }
     if (has_pair)
         for (int q = 0; q <= PAIR_LAST / 4; q++)
-            pair_sums[(size_t)pairs[first + id].y * (PAIR / 4) + q] = vload4(q, sums);
+            pair_sums[(size_t)pairs[first + id].y * (PAIR_SIZE / 4) + q] = vload4(q, sums);
 }

@@ -3,8 +3,6 @@
 import argparse
 
 from stereogs import api
-from stereogs.command_line.arguments import add_run, open_given
-from stereogs.command_line.output import console
 
 STEREOGS_API = 1
 """The version of the plugin API that this module was written for."""
@@ -17,16 +15,16 @@ class Largest(api.Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the run folder and --count."""
-        add_run(parser)
+        api.add_run(parser)
         parser.add_argument("--count", type=int, default=10, metavar="N", help="rows to print")
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Print a row for each; torch is imported by `open_given`, after the arguments are parsed."""
-        gaussians = open_given(arguments).model.gaussians()
+        gaussians = api.open_given(arguments).model.gaussians()
         sizes = gaussians.log_scales.exp().amax(dim=1)
         for index in sizes.argsort(descending=True)[: arguments.count].tolist():
             x, y, z = gaussians.means[index].tolist()
-            console().print(f"{sizes[index]:10.4f}  at {x:9.3f} {y:9.3f} {z:9.3f}")
+            api.console().print(f"{sizes[index]:10.4f}  at {x:9.3f} {y:9.3f} {z:9.3f}")
         return 0
 
 

@@ -23,7 +23,7 @@ STEREOGS_API = 1
 
 class Shot(pydantic.BaseModel):
     file: str
-    camera_to_world: photos.Matrix4x4
+    camera_to_world: photos.PoseMatrix
 
 
 class Turntable(pydantic.BaseModel):

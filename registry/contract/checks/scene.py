@@ -6,15 +6,17 @@ later checks may rely on earlier ones.
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ...errors import SceneError
 from ...messages.visible_text import is_plain_name
+from ...system.files import jsonable
 from ..scene import DepthMap, Fact, PointCloud, Scene, TrainingScene, View
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ _MIN_VIEWS_WITHOUT_COPIES = 3
 """Training views that a scene must have beside those that are left out."""
 _FOCAL_RANGE = (1e-2, 1e4)
 """In units of the longer side of the image: from 179 degrees of view to 20 seconds of arc."""
+_MAX_FACTS = 1_000_000
+"""Characters of the initializer's facts as JSON."""
 _log = logging.getLogger("stereogs.scene")
 
 
@@ -92,6 +96,46 @@ def check_maps(maps: Mapping[str, DepthMap], scene: TrainingScene) -> None:
             )
         if not (known.depth.isfinite().all() and known.depth.min() >= 0):
             raise SceneError(f"the depth map of {name!r} has values below 0 or not finite")
+
+
+def check_initialization(points: PointCloud, scene: TrainingScene, *priors: Any) -> PointCloud:
+    """Check an initializer's answer: its points, depth maps, kinds, facts and pictures.
+
+    Raises:
+        SceneError: the points are empty; a position, colour, scale or opacity is out of range; a depth map
+            does not fit its view; a picture's name is not a file name; or a kind is not a mask of the points.
+    """
+    import torch
+
+    check_maps(points.maps, scene)
+    for name in points.pictures:
+        if not is_file_name(name):
+            raise SceneError(f"the picture {name!r} has no plain file name")
+    count = len(points)
+    if count == 0:
+        raise SceneError(
+            "the initializer found no points to start from",
+            fix="use more or better overlapping views, or another one: --set initializer.use=random",
+        )
+    for name, mask in points.kinds.items():
+        if not is_file_name(name) or "," in name:
+            raise SceneError(f"the kind {name!r} of points has no plain name")
+        if mask.dtype != torch.bool or tuple(mask.shape) != (count,):
+            raise SceneError(
+                f"points.kinds[{name!r}] is {mask.dtype} of shape {tuple(mask.shape)}, "
+                f"expected a bool for each of {count} points"
+            )
+    check_points(points)
+    try:
+        size = len(json.dumps(jsonable(dict(points.facts))))
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"the initializer's facts are not plain values: {error}") from error
+    if size > _MAX_FACTS or not all(is_plain_name(name) for name in points.facts):
+        raise SceneError(
+            "the initializer's facts do not have plain names, or take more than a megabyte",
+            fix="use printable texts of at most 200 characters as names",
+        )
+    return points
 
 
 def is_file_name(name: str) -> bool:
@@ -245,7 +289,7 @@ def _without_equal_poses(scene: Scene) -> Scene:
         first, second = copies[0]
         raise SceneError(
             f"the training views {first.name!r} and {second.name!r} have the same pose: "
-            "two photographs from one place say nothing about depth",
+            "photographs from one position contain no depth",
             where=scene.name,
             fix="leave one of them out, or correct its pose",
         )

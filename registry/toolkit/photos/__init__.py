@@ -19,7 +19,11 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .bounds import Bounds as Bounds, estimate_bounds as estimate_bounds
-    from .colmap_files import has_colmap_model as has_colmap_model
+    from .colmap_files import (
+        colmap_models as colmap_models,
+        count_images as count_images,
+        has_colmap_model as has_colmap_model,
+    )
     from .colmap_model import (
         POINTS_FIX as POINTS_FIX,
         ColmapModel as ColmapModel,
@@ -48,12 +52,16 @@ if TYPE_CHECKING:
         pose_from_opengl as pose_from_opengl,
         undistort as undistort,
     )
-    from .loaded_photos import LoadedPhotos as LoadedPhotos, PosedPhoto as PosedPhoto
+    from .loaded_photos import (
+        LoadedPhotos as LoadedPhotos,
+        PosedPhoto as PosedPhoto,
+        usable_photos as usable_photos,
+    )
     from .reading import (
         IMAGE_SUFFIXES as IMAGE_SUFFIXES,
         Finite as Finite,
-        Matrix4x4 as Matrix4x4,
         MatrixRow as MatrixRow,
+        PoseMatrix as PoseMatrix,
         decoding as decoding,
         find_image as find_image,
         inside as inside,

@@ -24,6 +24,8 @@ FOCUS_FACTOR = 5.0
 """Content is assumed from 1/5 to 5 times the distance of the point that the cameras look at."""
 _MIN_EIGENVALUE = 1e-3
 """Of `nearest_to_axes`; axes within about 2 degrees count as parallel."""
+SAME_CENTER = 1e-9
+"""Centres nearer to each other than this, relative to their coordinates, differ by rounding only."""
 BASELINES = (1.0, 100.0)
 """Bounds of cameras with parallel axes, in units of the largest distance between two cameras."""
 
@@ -88,4 +90,6 @@ def _from_baselines(cameras: Sequence[Camera]) -> Bounds | None:
 
     centers = np.stack([camera.center.numpy() for camera in cameras])
     largest = float(np.linalg.norm(centers[:, None] - centers[None], axis=2).max())
-    return (BASELINES[0] * largest, BASELINES[1] * largest) if largest > 0 else None
+    if largest <= SAME_CENTER * max(1.0, float(np.abs(centers).max())):
+        return None
+    return BASELINES[0] * largest, BASELINES[1] * largest

@@ -7,13 +7,14 @@ against the length of the file. Binary layout, little-endian:
     images.bin    u64 n, n x (i32 id, 7 f64 pose, i32 camera, name, 0, u64 m, m x (2 f64, i64))
     points3D.bin  u64 n, n x (u64 id, 3 f64 position, 3 u8 color, f64 error, u64 m, m x (2 i32))
 
-The text files hold the same numbers, one record per line (`images.txt`: two lines, the second with the
-features); lines that start with # are comments.
+The text files hold the same numbers, one record per line; lines that start with # are comments. In
+`images.txt` a second line has the features, which some programs leave out.
 """
 
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from .lens import Distortion
@@ -42,8 +43,13 @@ CAMERA_MODELS = {
     "OPENCV": CameraModel(8, 2, "OPENCV"),
     "OPENCV_FISHEYE": CameraModel(8, 2, "OPENCV_FISHEYE"),
     "FULL_OPENCV": CameraModel(12, 2, "FULL_OPENCV"),
+    "FOV": CameraModel(5, 2, "FOV"),
+    "SIMPLE_RADIAL_FISHEYE": CameraModel(4, 1, "OPENCV_FISHEYE"),
+    "RADIAL_FISHEYE": CameraModel(5, 1, "OPENCV_FISHEYE"),
+    "THIN_PRISM_FISHEYE": CameraModel(12, 2, "THIN_PRISM_FISHEYE"),
 }
-"""The supported camera models, in the order of COLMAP's model ids."""
+"""The supported camera models, in the order of COLMAP's model ids. The radial models are those with more
+coefficients, the others 0."""
 
 
 class ColmapCamera(NamedTuple):
@@ -87,9 +93,35 @@ Record = TypeVar("Record", ColmapCamera, ColmapImage, ColmapPoint)
 _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 
 
+_PLACES = ("sparse", "colmap/sparse", "dense/sparse", "dense/0/sparse", "")
+"""Where programs write models, in a scene's folder."""
+
+
 def has_colmap_model(folder: Path) -> bool:
     """Return whether a folder holds a COLMAP model, binary or text."""
     return any((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def colmap_models(scene: Path) -> list[Path]:
+    """Return the folders of the COLMAP models in a scene's folder, the usual place first."""
+    numbered = [
+        folder
+        for place in _PLACES[:-1]
+        for folder in sorted((scene / place).glob("[0-9]*"))
+        if folder.is_dir()
+    ]
+    folders = [*numbered, *(scene / place for place in _PLACES)]
+    return [folder for folder in folders if has_colmap_model(folder)]
+
+
+def count_images(folder: Path) -> int:
+    """Return the number of images of a model; 0 if it cannot be read."""
+    with suppress(ValueError, OSError):
+        binary = folder / "images.bin"
+        if binary.is_file():
+            return _Cursor(binary.read_bytes()).count(smallest=73)
+        return sum(1 for _ in _text_images(folder / "images.txt"))
+    return 0
 
 
 def read_colmap_files(
@@ -163,18 +195,39 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
         if len(rest) != count:
             raise ValueError(f"a camera {model} has {count} parameters, this one has {len(rest)}")
         parameters = tuple(float(value) for value in rest)
-        yield int(identity), ColmapCamera(model, int(width), int(height), parameters)
+        yield int(identity), ColmapCamera(model, _whole(width), _whole(height), parameters)
 
 
 def _text_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
-    remaining = _lines(path)
-    for line in filter(None, remaining):
+    lines = [*_lines(path)]
+    position = 0
+    while position < len(lines):
+        line, following = lines[position], [*lines[position + 1 : position + 2], ""][0]
+        position += 1
+        if not line:
+            continue
         identity, *pose, camera_id, name = _fields(line, at_least=10, at_most=10)
         w, x, y, z, t_x, t_y, t_z = (float(value) for value in pose)
-        features = next(remaining, "").split()
-        if len(features) % 3:
-            raise ValueError("a feature has 3 numbers; a line of features is incomplete")
         yield int(identity), ColmapImage((w, x, y, z), (t_x, t_y, t_z), int(camera_id), name)
+        if _are_features(following):
+            position += 1
+        elif len(following.split()) < 10:
+            raise ValueError("a feature has 3 numbers; a line of features is incomplete")
+
+
+def _are_features(line: str) -> bool:
+    """Return whether a line holds the features of an image: x, y and a point's id each, or nothing.
+
+    The next image in a file without features has a fraction, of its rotation, in place of the first id, or
+    a name in place of a number.
+    """
+    fields = line.split()
+    try:
+        [float(field) for field in fields]
+        [int(identity) for identity in fields[2::3]]
+    except ValueError:
+        return False
+    return len(fields) % 3 == 0
 
 
 def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
@@ -190,7 +243,7 @@ def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    for line in path.read_bytes().decode().split("\n"):
+    for line in path.read_bytes().decode("utf-8-sig").split("\n"):
         if not line.strip().startswith("#"):
             yield line.strip()
 
@@ -203,9 +256,20 @@ def _fields(line: str, at_least: int, at_most: int = 0) -> list[str]:
     return fields
 
 
+def _whole(number: str) -> int:
+    """Return a size in pixels, which some programs write as 270.0."""
+    value = float(number)
+    if value != int(value):
+        raise ValueError(f"the size {number} is not a whole number")
+    return int(value)
+
+
 def _parameter_count(model: str) -> int:
     if model not in CAMERA_MODELS:
-        raise ValueError(f"the camera model {model} is not one of {', '.join(CAMERA_MODELS)}")
+        raise ValueError(
+            f"the camera model {model} is not one of {', '.join(CAMERA_MODELS)}; "
+            "`colmap image_undistorter` writes a model that is"
+        )
     return CAMERA_MODELS[model].parameters
 
 

@@ -7,6 +7,7 @@ the training photographs only.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from .colmap_files import (
     ColmapPoint,
     read_colmap_files,
 )
-from .lens import Lens
+from .lens import COEFFICIENTS, Lens
 from .reading import decoding
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 MIN_TRAINING_OBSERVATIONS = 2
 """A point needs two training views: it could have been triangulated from them, but not from one."""
+_log = logging.getLogger("stereogs.photos")
 POINTS_FIX = "restore the file, or set `points: false` to continue without it"
 
 
@@ -51,16 +53,29 @@ class Tracks:
     images: NDArray[np.int64]
 
     def seen_by(self, training: list[int]) -> PointCloud | None:
-        """Return the points that at least two of the training views observe; None if there are none."""
-        import numpy as np
-        import torch
+        """Return the points that at least two of the training views observe; None if there are none.
 
+        Points without tracks, which some programs write, are used all.
+        """
+        import numpy as np
+
+        if len(self.lengths) and not len(self.images):
+            _log.warning(
+                "the %d points do not say which photographs observe them; all are used, also those that only "
+                "test views show",
+                len(self.lengths),
+            )
+            return self._cloud(np.ones(len(self.lengths), dtype=bool))
         owner = np.repeat(np.arange(len(self.lengths)), self.lengths)
         pairs = np.unique(np.stack([owner, self.images])[:, np.isin(self.images, training)], axis=1)
         seen = np.bincount(pairs[0], minlength=len(self.lengths))
         keep = seen >= min(MIN_TRAINING_OBSERVATIONS, len(training))
-        if not keep.any():
-            return None
+        return self._cloud(keep) if keep.any() else None
+
+    def _cloud(self, keep: NDArray[np.bool_]) -> PointCloud:
+        import numpy as np
+        import torch
+
         return PointCloud(
             positions=torch.from_numpy(self.positions[keep]),
             colors=torch.from_numpy(self.colors[keep].astype(np.float32) / 255),
@@ -111,8 +126,7 @@ class ColmapModel:
         if model.focal_lengths == 1:
             values = (values[0], *values)
         fx, fy, cx, cy, *rest = values
-        if model.distortion == "OPENCV":
-            rest += [0.0] * (4 - len(rest))
+        rest += [0.0] * (COEFFICIENTS[model.distortion] - len(rest))
         return Lens(fx, fy, cx, cy, camera.width, camera.height, model.distortion, tuple(rest))
 
     def tracks(self) -> Tracks:

@@ -18,8 +18,19 @@ if TYPE_CHECKING:
 
     from .decoder import Pixels
 
-Distortion = Literal["PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
-_COEFFICIENTS = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4}
+Distortion = Literal[
+    "PINHOLE", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE", "FOV", "THIN_PRISM_FISHEYE"
+]
+COEFFICIENTS: dict[Distortion, int] = {
+    "PINHOLE": 0,
+    "OPENCV": 4,
+    "FULL_OPENCV": 8,
+    "OPENCV_FISHEYE": 4,
+    "FOV": 1,
+    "THIN_PRISM_FISHEYE": 8,
+}
+"""Numbers of distortion coefficients."""
+_FISHEYES = ("OPENCV_FISHEYE", "THIN_PRISM_FISHEYE")
 _SCALES = (0.25, 1.75)
 """Undistorted size divided by original size; real lenses stay within this range."""
 
@@ -32,7 +43,8 @@ class Lens:
         fx, fy, cx, cy: Focal lengths and principal point, pixels of a photograph of `width` x `height`.
         model: COLMAP's name of the distortion model.
         distortion: Coefficients in COLMAP's order: OPENCV `k1 k2 p1 p2`, FULL_OPENCV the same and
-            `k3 k4 k5 k6`, OPENCV_FISHEYE `k1 k2 k3 k4`.
+            `k3 k4 k5 k6`, OPENCV_FISHEYE `k1 k2 k3 k4`, FOV `omega`, THIN_PRISM_FISHEYE `k1 k2 p1 p2 k3 k4
+            sx1 sy1`.
     """
 
     fx: float
@@ -47,7 +59,7 @@ class Lens:
     @property
     def is_pinhole(self) -> bool:
         """True if straight lines stay straight. A fisheye bends them even with coefficients of 0."""
-        return self.model != "OPENCV_FISHEYE" and not any(self.distortion)
+        return self.model not in _FISHEYES and not any(self.distortion)
 
     def resized(self, width: int, height: int, where: str) -> Lens:
         """Return the lens for the photograph at another size.
@@ -102,7 +114,7 @@ class Lens:
         ]
         if not all(map(math.isfinite, (self.cx, self.cy, *self.distortion))):
             problems.append("a parameter of the lens is not finite")
-        count, expected = len(self.distortion), _COEFFICIENTS[self.model]
+        count, expected = len(self.distortion), COEFFICIENTS[self.model]
         if count not in (0, expected):
             problems.append(
                 f"the lens {self.model} has {count} distortion coefficients, expected {expected}"
@@ -174,10 +186,13 @@ def undistort(lens: Lens, pixels: Pixels, where: str) -> tuple[Lens, Pixels]:
 
 
 def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
-    """Convert a `[4, 4]` camera-to-world matrix with OpenGL axes, as in NeRF data sets, to world-to-camera.
+    """Convert a camera-to-world matrix with OpenGL axes, as in NeRF data sets, to world-to-camera.
 
     OpenGL's axes are right, up, backwards. The rotation is inverted by transposing; `Camera` checks that
     it is orthonormal.
+
+    Args:
+        matrix: `[4, 4]`, or `[3, 4]` without the last row.
 
     Raises:
         SceneError: The last row is not 0 0 0 1.
@@ -185,7 +200,7 @@ def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
     import numpy as np
 
     pose = np.asarray(matrix, dtype=np.float64)
-    if not np.array_equal(pose[3], [0, 0, 0, 1]):
+    if len(pose) == 4 and not np.array_equal(pose[3], [0, 0, 0, 1]):
         raise SceneError(
             f"the last row of the pose is {pose[3].tolist()}, not 0 0 0 1",
             where=where,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
@@ -11,7 +12,7 @@ from ...errors import SceneError
 from ..progress.parallel import in_parallel
 from .decoder import Decoder, read_mask, stored_size
 from .lens import Lens, import_pycolmap, undistort
-from .reading import find_image
+from .reading import existing_image, find_image
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -25,8 +26,15 @@ if TYPE_CHECKING:
     from .bounds import Bounds
     from .decoder import Pixels, Size
 
+FAR_AWAY = 50.0
+"""Distance of a camera from the median centre, in medians of these distances, that no capture has."""
+MIN_TO_JUDGE = 4
+"""Cameras that are needed to say that one of them is far away."""
 _FINER = 2
 """Photographs are undistorted at this multiple of their size, because bilinear resampling blurs them."""
+
+
+_log = logging.getLogger("stereogs.photos")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +55,52 @@ class PosedPhoto:
     lens: Lens
     where: str
     mask: Path | None = None
+
+
+def usable_photos(photos: Sequence[PosedPhoto], where: str) -> list[int]:
+    """Return the indices of photographs whose file exists and whose camera is near the others.
+
+    A warning names those that are left out.
+
+    Raises:
+        SceneError: more than half of the photographs are missing.
+    """
+    files = [existing_image(photo.path) for photo in photos]
+    found = [index for index, file in enumerate(files) if file is not None]
+    missing = [photos[index].path.name for index, file in enumerate(files) if file is None]
+    if 2 * len(missing) > len(photos):
+        raise SceneError(
+            f"{len(missing)} of {len(photos)} photographs are missing, for example {missing[0]}",
+            where=where,
+            fix="restore them beside the camera file, or set `images` to their folder",
+        )
+    if missing:
+        _log.warning(
+            "%d of %d photographs are missing and left out: %s",
+            *(len(missing), len(photos), ", ".join(missing)),
+        )
+    distances = _distances([photos[index].world_to_camera for index in found])
+    for index, distance in zip(found, distances, strict=True):
+        if distance > FAR_AWAY:
+            _log.warning(
+                "%s is left out: its camera is %.0f times as far from the others as they are from each "
+                "other; check its pose",
+                *(photos[index].path.name, distance),
+            )
+    return [k for k, distance in zip(found, distances, strict=True) if distance <= FAR_AWAY]
+
+
+def _distances(poses: Sequence[NDArray[np.float64]]) -> list[float]:
+    """Return each camera's distance from the median camera centre, in medians of these distances."""
+    import numpy as np
+
+    if len(poses) < MIN_TO_JUDGE:
+        return [0.0] * len(poses)
+    with np.errstate(all="ignore"):  # numbers that are not finite are refused later
+        centers = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+        distances = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
+        usual = float(np.median(distances))
+    return [float(d) / usual if usual > 0 and np.isfinite(d) else 0.0 for d in distances]
 
 
 def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:

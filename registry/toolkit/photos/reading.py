@@ -6,9 +6,11 @@ import io
 import json
 import math
 import zipfile
+from codecs import BOM_UTF8
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from unicodedata import normalize
 
 import pydantic
 
@@ -25,7 +27,8 @@ Document = TypeVar("Document", bound=pydantic.BaseModel)
 
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 MatrixRow = tuple[Finite, Finite, Finite, Finite]
-Matrix4x4 = tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]
+PoseMatrix = Annotated[tuple[MatrixRow, ...], pydantic.Field(min_length=3, max_length=4)]
+"""A pose `[4, 4]`, or `[3, 4]` without the last row."""
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Suffixes of files that are read as photographs, in lower case."""
@@ -83,7 +86,7 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
             fix=fix,
         )
     with decoding(path.name, path, fix):
-        content = path.read_bytes()
+        content = path.read_bytes().removeprefix(BOM_UTF8)
     try:
         read = model.model_validate_json(content, strict=True)
         json.loads(content, object_pairs_hook=_refuse_repeated)
@@ -172,22 +175,19 @@ def find_image(path: Path) -> Path:
     Raises:
         SceneError: Neither exists.
     """
-    found = _existing_image(path)
+    found = existing_image(path)
     if found is None:
         fix = "restore it, or choose other views"
         raise SceneError("a photograph is missing", where=str(path), fix=fix)
     return found
 
 
-def _existing_image(path: Path) -> Path | None:
-    if path.is_file():
-        return path
-    for suffix in IMAGE_SUFFIXES:
-        for spelling in (suffix, suffix.upper()):
-            other = path.with_name(path.stem + spelling)
-            if other.is_file():
-                return other
-    return None
+def existing_image(path: Path) -> Path | None:
+    """Return the file itself, in another Unicode form (macOS decomposes accents), or with another suffix."""
+    spellings = [path, *(path.with_name(normalize(form, path.name)) for form in ("NFC", "NFD"))]
+    suffixes = [spelling for suffix in IMAGE_SUFFIXES for spelling in (suffix, suffix.upper())]
+    others = [named.with_name(named.stem + suffix) for named in spellings for suffix in suffixes]
+    return next((file for file in [*spellings, *others] if file.is_file()), None)
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -201,17 +201,21 @@ def list_images(folder: Path) -> list[Path]:
 def inside(folder: Path, name: str, where: str) -> Path:
     """Return the path of a file that a camera file names; it must lie inside the scene's folder.
 
+    Backslashes separate folders as slashes do. An absolute path is accepted if it leads into the folder.
+
     Raises:
-        SceneError: The name is empty, absolute, contains `..` or characters that file names cannot
-            have, or leads out of the folder through a symbolic link.
+        SceneError: The name is empty, contains `..` or characters that file names cannot have, or leads
+            out of the folder, also through a symbolic link.
     """
-    relative = PurePosixPath(name)
+    relative = PurePosixPath(name.replace("\\", "/"))
+    root = folder.absolute()
+    if relative.is_absolute() and relative.is_relative_to(root):
+        relative = relative.relative_to(root)
     if (
         not relative.parts
         or relative.is_absolute()
-        or PureWindowsPath(name).drive
+        or PureWindowsPath(relative).drive
         or ".." in relative.parts
-        or "\\" in name
         or not name.isprintable()
         or max(len(part.encode()) for part in relative.parts) > _MAX_NAME
     ):
@@ -222,7 +226,7 @@ def inside(folder: Path, name: str, where: str) -> Path:
         )
     path = folder / relative
     # The image may have another suffix than the camera file says.
-    real = (_existing_image(path) or path).resolve()
+    real = (existing_image(path) or path).resolve()
     if not real.is_relative_to(folder.resolve()):
         raise SceneError(
             f"the file {name[:100]!r} is a link to {real}, outside the scene's folder",

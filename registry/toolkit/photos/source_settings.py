@@ -10,7 +10,7 @@ from pydantic import Field
 from ...contract.component import Settings
 from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter, divided_by
-from .reading import list_images
+from .reading import IMAGE_SUFFIXES, list_images
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,7 +49,11 @@ class ImageSourceSettings(Settings):
         """
         full_size = self.image_source == "resize" or self.downsample == 1
         folder = scene / (self.images or ("images" if full_size else f"images_{self.downsample}"))
-        if not list_images(folder):
+        if not _has_images(folder):
+            smaller = [path for path in scene.glob("images_*") if _has_images(path)]
+            if full_size and not self.images and len(smaller) == 1:
+                _log.info("%s is missing: photographs are those of %s", folder, smaller[0].name)
+                return smaller[0]
             present = ", ".join(sorted(path.name for path in scene.glob("images*"))) or "none"
             which = "" if self.images else f" for downsample {self.downsample}"
             raise SceneError(
@@ -58,6 +62,13 @@ class ImageSourceSettings(Settings):
                 fix=f"set `downsample` or `images` to an existing folder (found: {present})",
             )
         return folder
+
+
+def _has_images(folder: Path) -> bool:
+    """Return whether a folder, or a folder in it, has a photograph."""
+    return bool(list_images(folder)) or any(
+        path.suffix.lower() in IMAGE_SUFFIXES for path in folder.rglob("*")
+    )
 
 
 class SplitSettings(Settings):
@@ -82,15 +93,7 @@ class SplitSettings(Settings):
         test_every = _default_test_every(count) if self.test_every is None else self.test_every
         test = list(range(0, count, test_every)) if test_every else []
         pool = sorted({*range(count)} - {*test})
-        if not pool or (self.train_views or 0) > len(pool):
-            fewer = f"set `train_views` to at most {len(pool)}, or " if pool else ""
-            raise SceneError(
-                f"{self.train_views or 1} training views are wanted, but of {count} photographs only "
-                f"{len(pool)} are not test views",
-                where=where,
-                fix=f"{fewer}raise `test_every`",
-            )
-        train = evenly_spaced(pool, self.train_views)
+        train = self.chosen(pool, where)
         if unused := len(pool) - len(train):
             _log.info(
                 "%d photographs: %d train, %d are held out, %d are not used; --set scene.train_views=0 "
@@ -100,6 +103,22 @@ class SplitSettings(Settings):
         if not test_every:
             return train, test, "evenly spaced train, none tests"
         return train, test, f"every {test_every}th tests, the others evenly spaced train"
+
+    def chosen(self, pool: list[int], where: str) -> list[int]:
+        """Return `train_views` evenly spaced members of those that are not test views.
+
+        Raises:
+            SceneError: there are fewer.
+        """
+        if not pool or (self.train_views or 0) > len(pool):
+            fewer = f"set `train_views` to at most {len(pool)}, or " if pool else ""
+            raise SceneError(
+                f"{self.train_views or 1} training views are wanted, but only {len(pool)} photographs are "
+                "not test views",
+                where=where,
+                fix=f"{fewer}raise `test_every`",
+            )
+        return evenly_spaced(pool, self.train_views)
 
 
 def _default_test_every(count: int) -> int:

@@ -15,12 +15,12 @@ from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.messages.suggestions import did_you_mean, listing
 from registry.pipeline.edits import SECTIONS, component_items, item_names
-from registry.pipeline.pipeline import Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Pipeline, checked_pipeline
 from registry.pipeline.yaml_source import Node, Place
 
 from .description import Description, Toggle
 from .plan import SEED, Combination, Plan, changed_pipeline, with_runs
-from .variations import Change, Choice, Variation, scene_choices
+from .variations import Alternative, Change, Variation, scene_choices
 
 Switches = dict[str, Change]
 """For the path of each toggled component, such as "regularizers.stereo_depth", the change for "off"."""
@@ -49,7 +49,7 @@ def make_plan(description: Description, plugins: Plugins) -> Plan:
     _check_seed_is_not_varied(description.variations)
     scenes = scene_choices(description.pipeline, description.scenes)
 
-    def pipeline(combination: Combination, scene: Choice, seed: int) -> Pipeline:
+    def pipeline(combination: Combination, scene: Alternative, seed: int) -> Pipeline:
         off = _off(switches, combination.on)
         changes = [
             change

@@ -23,7 +23,7 @@ from registry.pipeline.yaml_source import Node, read
 
 from .description import check_keys, scene_list, seed_count
 from .plan import Combination, Plan, changed_pipeline, with_runs
-from .variations import Choice, Variation, scene_choices, values
+from .variations import Alternative, Variation, scene_choices, values
 
 KEYS = ("pipelines", "scenes", "iterations", "seeds", "runner")
 """The keys of a matrix file."""
@@ -89,12 +89,12 @@ def plan_of(matrix: Matrix, plugins: Plugins) -> Plan:
         PipelineError: an unknown name, a rejected value, or two equal pipelines.
         PluginError: a component cannot be loaded.
     """
-    pipelines = Variation("pipeline", tuple(Choice(name, ()) for name in matrix.pipelines))
+    pipelines = Variation("pipeline", tuple(Alternative(name, ()) for name in matrix.pipelines))
     variations = (pipelines, *([matrix.lengths] if matrix.lengths else []))
     scenes = scene_choices(next(iter(matrix.pipelines.values())), matrix.scenes)
     combinations = itertools.product(*(variation.choices for variation in variations))
 
-    def pipeline(combination: Combination, scene: Choice, seed: int) -> Pipeline:
+    def pipeline(combination: Combination, scene: Alternative, seed: int) -> Pipeline:
         (name, *lengths) = (choice for choice in combination.choices if choice is not None)
         changes = [change for choice in (scene, *lengths) for change in choice.changes]
         return changed_pipeline(matrix.pipelines[name.label], changes, seed, plugins)

@@ -13,10 +13,10 @@ from registry.discovery import Plugins
 from registry.errors import PipelineError
 from registry.messages.suggestions import counted
 from registry.pipeline.edits import set_value
-from registry.pipeline.pipeline import Pipeline, build_pipeline as checked_pipeline
+from registry.pipeline.pipeline import Pipeline, checked_pipeline
 from registry.pipeline.yaml_source import Node, Place
 
-from .variations import Change, Choice, Variation
+from .variations import Alternative, Change, Variation
 
 SEED = "training.seed"
 _NAME_LENGTH = 100
@@ -32,7 +32,7 @@ class Combination:
     """
 
     on: tuple[bool, ...]
-    choices: tuple[Choice | None, ...]
+    choices: tuple[Alternative | None, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,8 @@ class Plan:
 
 def with_runs(
     plan: Plan,
-    scenes: Sequence[Choice],
-    pipeline_of: Callable[[Combination, Choice, int], Pipeline],
+    scenes: Sequence[Alternative],
+    pipeline_of: Callable[[Combination, Alternative, int], Pipeline],
 ) -> Plan:
     """Add a run for each combination, scene and seed to a plan without runs.
 

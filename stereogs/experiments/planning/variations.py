@@ -32,7 +32,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Choice:
+class Alternative:
     """One value of a variation.
 
     Args:
@@ -57,7 +57,7 @@ class Variation:
     """A varied setting with its values, in the order of the table."""
 
     name: str
-    choices: tuple[Choice, ...]
+    choices: tuple[Alternative, ...]
 
 
 def values(path: str, node: Node) -> Variation:
@@ -72,14 +72,14 @@ def values(path: str, node: Node) -> Variation:
             where=str(node.place),
             fix=f"write `{path}: [value, value]`",
         )
-    choices: dict[str, Choice] = {}
+    choices: dict[str, Alternative] = {}
     for value in node.content:
         label = _value_label(value)
         if label in choices:
             raise PipelineError(
                 f"{path} has the value {label} twice", where=str(value.place), fix="remove one"
             )
-        choices[label] = Choice(label, (Change(path, value),))
+        choices[label] = Alternative(label, (Change(path, value),))
     if not choices:
         raise PipelineError(
             f"{path} has no values", where=str(node.place), fix="list two or more, or remove it"
@@ -104,7 +104,7 @@ def alternatives(name: str, node: Node) -> Variation:
                 fix="for example {priors.stereo.path: model.onnx}; {} changes nothing",
             )
         changes = tuple(Change(path, value) for path, value in settings.content.items())
-        choices.append(Choice(label, changes))
+        choices.append(Alternative(label, changes))
     if not any(choice.changes for choice in choices):
         raise PipelineError(
             f"no alternative of {name} changes anything",
@@ -114,7 +114,7 @@ def alternatives(name: str, node: Node) -> Variation:
     return Variation(name, tuple(choices))
 
 
-def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Choice, ...]:
+def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Alternative, ...]:
     """Return the listed scenes, or the pipeline's own scene if none is listed.
 
     A text without a slash is a folder in STEREOGS_DATA, with a slash a path; both replace the `path` of the
@@ -125,8 +125,8 @@ def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Choice, ...]:
     """
     if not written:
         assert isinstance(root.content, dict)
-        return (Choice(_scene_label(root.content["scene"]), ()),)
-    scenes: dict[str, Choice] = {}
+        return (Alternative(_scene_label(root.content["scene"]), ()),)
+    scenes: dict[str, Alternative] = {}
     for node in written:
         label = _scene_label(node)
         if label in scenes:
@@ -135,7 +135,7 @@ def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Choice, ...]:
                 where=str(node.place),
                 fix="remove one, or give it another name: {use: LOADER, name: ..., path: ...}",
             )
-        scenes[label] = Choice(label, (_scene_change(node),))
+        scenes[label] = Alternative(label, (_scene_change(node),))
     return tuple(scenes.values())
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from registry import RunError
+from registry.runners import TrainingTask
 from registry.runs.folder import RESULTS, RunFolder
 from registry.runs.results import read_results
 from registry.system.lock import locked
@@ -23,7 +24,7 @@ from ..planning.plan import PlannedRun
 RUNS = "runs"
 
 
-class AblationFolder:
+class ExperimentFolder:
     """An output folder, which is created when needed."""
 
     def __init__(self, path: Path) -> None:
@@ -43,6 +44,16 @@ class AblationFolder:
             return read_results(run.path / RESULTS)
         except (OSError, UnicodeDecodeError, RunError):
             return {}
+
+    def task(self, planned: PlannedRun, device: str | None = None) -> TrainingTask:
+        """Return the task that trains a run in its folder, with a log next to it."""
+        path = self.run(planned).path
+        log = path.with_name(f"{path.name}.log")
+        return TrainingTask(planned.pipeline.to_yaml(), path, log, device)
+
+    def keep(self, planned: PlannedRun) -> bool:
+        """Return whether the run is finished; its folder keeps the results."""
+        return bool(self.results(planned))
 
     @contextmanager
     def locked(self) -> Iterator[int | None]:

@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 
 from pydantic import Field
@@ -58,7 +58,7 @@ class LocalProcesses(Runner[LocalProcessesSettings]):
 
     def start(self, task: TrainingTask) -> RunningTask:
         """Start a process for the task (see `training_arguments`)."""
-        return TrainingProcess(task, self.lock)
+        return TrainingProcess(task, ["stereogs", *training_arguments(task)], self.lock)
 
 
 def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
@@ -78,11 +78,23 @@ def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
 
 
 class TrainingProcess(RunningTask):
-    """A training in its own process, which inherits the file descriptor `lock`."""
+    """A training in its own process.
 
-    def __init__(self, task: TrainingTask, lock: int | None) -> None:
+    Args:
+        module: of Python, which trains, and its arguments.
+        lock: file descriptor that the process inherits, or None.
+        environment: variables to change.
+    """
+
+    def __init__(
+        self,
+        task: TrainingTask,
+        module: Sequence[str],
+        lock: int | None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._task = task
-        command = [sys.executable, "-m", "stereogs", *training_arguments(task)]
+        command = [sys.executable, "-m", *module]
         command += [] if task.device is None else ["--device", task.device]
         with task.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -90,6 +102,7 @@ class TrainingProcess(RunningTask):
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                env=os.environ | (environment or {}),
                 pass_fds=() if lock is None else (lock,),
                 # Ctrl-C in the terminal does not reach the new session; `stop` forwards it once.
                 start_new_session=True,

@@ -18,7 +18,7 @@ from registry.toolkit.web_page import Axis, Cell, Line, Point, grid, line_plot, 
 
 from ..comparing.paper_tables import PaperTables, paper_names, paper_tables
 from ..planning.plan import Combination, Plan, PlannedRun
-from ..running.folder import AblationFolder
+from ..running.folder import ExperimentFolder
 from . import scores
 from .scores import NONE, Column, Figure, Results, figure_of, runs_of
 
@@ -154,12 +154,12 @@ Samples = Sequence[tuple[int, float, Mapping[str, float | None]]]
 Curves = Mapping[PlannedRun, Samples]
 
 
-def read_curves(results: Results, folder: AblationFolder) -> Curves:
+def read_curves(results: Results, folder: ExperimentFolder) -> Curves:
     """Return the scores during training and at the end of each finished run."""
     return {run: _curve(found, folder, run) for run, found in results.items() if found}
 
 
-def _curve(found: Mapping[str, Any], folder: AblationFolder, run: PlannedRun) -> Samples:
+def _curve(found: Mapping[str, Any], folder: ExperimentFolder, run: PlannedRun) -> Samples:
     stages = found.get("stages", {})
     before = stages.get("scene", 0.0) + stages.get("initialization", 0.0)
     file = folder.run(run).path / METRICS

@@ -14,12 +14,11 @@ from registry.toolkit.web_page import (
     line_plot,
     note,
     page,
-    score_table,
     section,
 )
 
 from ..planning.plan import Combination, Plan
-from ..running.folder import AblationFolder
+from ..running.folder import ExperimentFolder
 from . import scores
 from .against_time import Reference, against_time, read_curves
 from .scores import Column, Results
@@ -28,7 +27,7 @@ from .view_gallery import RenderedRun, view_gallery, view_wipes
 
 
 def as_page(
-    plan: Plan, results: Results, folder: AblationFolder, references: Sequence[Reference] = ()
+    plan: Plan, results: Results, folder: ExperimentFolder, references: Sequence[Reference] = ()
 ) -> str:
     """Return the page, with images of the first seed, and published scores next to the curves."""
     curves = read_curves(results, folder) if plan.kind == "bench" else {}
@@ -37,10 +36,7 @@ def as_page(
             f"{plan.size}. Bold: the best of a column. seconds: time of training; in all: time of the "
             "whole run."
         ),
-        *(
-            score_table(table.head, table.rows, names=table.names, caption=table.title)
-            for table in tables(plan, results)
-        ),
+        *(table.html() for table in tables(plan, results)),
         *(note(line) for line in notes(plan, results)),
         section("Scores against time", against_time(plan, results, curves, references)),
         section("Plots", grid(list(plots(plan, results)))),
@@ -49,7 +45,7 @@ def as_page(
     return page(f"{plan.kind.capitalize()}: {plan.name}", contents)
 
 
-def _images(plan: Plan, results: Results, folder: AblationFolder, scene: str) -> str:
+def _images(plan: Plan, results: Results, folder: ExperimentFolder, scene: str) -> str:
     """Return the photograph, renders and depths of each test view.
 
     A bench shows renders over the photograph with a slider; an ablation, whose renders differ little, shows

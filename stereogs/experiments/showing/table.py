@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import math
-from dataclasses import dataclass
-
-from rich import box
-from rich.table import Table
+from dataclasses import replace
 
 from registry.messages.terminal import PlainConsole
 from registry.toolkit.web_page import Cell
 
 from ..planning.plan import Combination, Plan
-from ..running.folder import AblationFolder
+from ..running.folder import ExperimentFolder
 from . import scores
+from .score_table import ScoreTable, csv_text
 from .scores import CONFIDENCE, COUNTS, ENOUGH_PAIRS, NONE, Column, Results, difference
 
 TICK, CROSS = "✓", "✗"
 _WIDTH = 400
 """Characters; wide enough for every row."""
-
-
-@dataclass(frozen=True)
-class ScoreTable:
-    """A table with a row per combination.
-
-    Args:
-        title: of the table.
-        head: a heading per column.
-        names: number of columns on the left with toggles and values.
-        rows: cells; the best number of a column is strong.
-    """
-
-    title: str
-    head: list[str]
-    names: int
-    rows: list[list[Cell]]
 
 
 def tables(plan: Plan, results: Results) -> list[ScoreTable]:
@@ -153,14 +133,7 @@ def as_text(plan: Plan, results: Results) -> str:
     file = io.StringIO()
     console = PlainConsole(file=file, width=_WIDTH, markup=False, highlight=False)
     for table in tables(plan, results):
-        title = f"{plan.name}, {table.title}"
-        drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-        for index, heading in enumerate(table.head):
-            named = index < table.names
-            drawn.add_column(heading, justify="center" if named else "right", no_wrap=not named)
-        for row in table.rows:
-            drawn.add_row(*(cell.text for cell in row))
-        console.print(drawn)
+        console.print(replace(table, title=f"{plan.name}, {table.title}").drawn())
     for line in notes(plan, results):
         console.print(line)
     return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
@@ -191,28 +164,24 @@ def _no_effect(plan: Plan, group: list[Combination], where: str) -> str:
     return f"no effect{where}, bitwise equal Gaussians: {descriptions}"
 
 
-def as_csv(plan: Plan, results: Results, folder: AblationFolder) -> str:
+def as_csv(plan: Plan, results: Results, folder: ExperimentFolder) -> str:
     """Return CSV with a row per run; toggles are 1 and 0, missing values are empty."""
     columns = scores.columns(plan, results)
     chosen = [*plan.toggles, *(variation.name for variation in plan.variations)]
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*chosen, "scene", "seed", *(c.key for c in columns), "hash", "folder"])
-    for run, found in results.items():
-        choices = (choice.label if choice else "" for choice in run.combination.choices)
-        numbers = (scores.value(found, column) for column in columns)
-        writer.writerow(
-            [
-                *(int(on) for on in run.combination.on),
-                *choices,
-                run.scene,
-                run.seed,
-                *(_exact(number) for number in numbers),
-                found.get("hash", ""),
-                folder.run(run).path.relative_to(folder.path),
-            ]
-        )
-    return file.getvalue()
+    head = [*chosen, "scene", "seed", *(c.key for c in columns), "hash", "folder"]
+    rows = [
+        [
+            *(int(on) for on in run.combination.on),
+            *(choice.label if choice else "" for choice in run.combination.choices),
+            run.scene,
+            run.seed,
+            *(_exact(scores.value(found, column)) for column in columns),
+            found.get("hash", ""),
+            folder.run(run).path.relative_to(folder.path),
+        ]
+        for run, found in results.items()
+    ]
+    return csv_text(head, rows)
 
 
 def _exact(number: float | None) -> str:

@@ -190,8 +190,8 @@ def _near_points(positions: Array, centers: Array) -> Array:
 
 def _ground(scene: Scene) -> tuple[Array, Array]:
     """Return unit vectors right and forward of the ground plane; its normal is the mean up direction."""
-    poses = np.stack([view.camera.world_to_camera.numpy() for view in scene.train])
     up = upwards([view.camera for view in scene.train])
+    poses = np.stack([view.camera.world_to_camera.numpy() for view in scene.train])
     # The mean viewing direction is zero for cameras in a ring and along `up` for cameras above.
     for direction in (poses[:, 2, :3].mean(axis=0), poses[0, 2, :3], *np.eye(3)):
         forward = direction - up * (direction @ up)

@@ -92,8 +92,8 @@ def reaches(render: Callable[[Camera], Rendering], cameras: Sequence[Camera]) ->
     The median of the others where a camera sees nothing.
     """
     found = [_reach(render(small(camera))) for camera in cameras]
-    known = [one for one in found if math.isfinite(one)]
-    return [one if math.isfinite(one) else median(known or [1.0]) for one in found]
+    middle = median(list(filter(math.isfinite, found)) or [1.0])
+    return [reach if math.isfinite(reach) else middle for reach in found]
 
 
 def _reach(rendering: Rendering) -> float:

@@ -9,7 +9,7 @@ import torch
 from pydantic import BaseModel, Field
 
 from registry import RunError
-from registry.toolkit.photos import Matrix4x4, pose_from_opengl, read_document
+from registry.toolkit.photos import PoseMatrix, pose_from_opengl, read_document
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ _SAME = 1e-3
 
 
 class _Frame(BaseModel):
-    transform_matrix: Matrix4x4
+    transform_matrix: PoseMatrix
     file_path: str | None = None
 
 
@@ -49,7 +49,7 @@ def read_poses(file: Path, lens: Camera) -> tuple[list[str], list[Camera]]:
     return names, cameras
 
 
-def _pose(matrix: Matrix4x4, where: str) -> Tensor:
+def _pose(matrix: PoseMatrix, where: str) -> Tensor:
     return torch.from_numpy(pose_from_opengl(matrix, where))
 
 
@@ -82,6 +82,8 @@ def other_pictures(run: Run, settings: Sequence[str]) -> tuple[list[str], list[C
     return [view.name for view in others], [view.camera for view in others]
 
 
-def _moved(one: Camera, other: Camera) -> bool:
-    size = max(float(one.center.norm()), 1e-9)
-    return float((one.camera_to_world - other.camera_to_world).abs().max()) > _SAME * max(size, 1)
+def _moved(camera: Camera, other: Camera) -> bool:
+    size = max(float(camera.center.norm()), 1e-9)
+    return float((camera.camera_to_world - other.camera_to_world).abs().max()) > _SAME * max(
+        size, 1
+    )

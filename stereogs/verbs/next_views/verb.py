@@ -10,7 +10,7 @@ from registry.messages.suggestions import counted
 
 from ...command_line.arguments import add_run, open_given
 from ...command_line.command import Command
-from ...command_line.output import console, print_failures
+from ...command_line.output import console, report
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,20 +74,20 @@ class Next(Command):
                 names, cameras = other_pictures(run, arguments.pictures)
             photographs = photographs_of(run)
             found = suggestions(run, photographs, cameras, arguments.count)
-            folder = run.folder_or_refuse().folder("next")
+            place = run.folder_or_refuse()
+            folder = place.folder("next")
             write(run, found, names, folder)
-        for number, one in enumerate(found, start=1):
-            name = f"{names[one.index]}: " if names is not None else ""
-            output.print(f"{number}  {name}{one.words}")
-            output.print(f"   confirms {one.gain:.0%} of what is unknown now{_doubt(one.overlap)}")
+        for number, view in enumerate(found, start=1):
+            name = f"{names[view.index]}: " if names is not None else ""
+            output.print(f"{number}  {name}{view.words}")
+            output.print(
+                f"   confirms {view.gain:.0%} of what is unknown now{_doubt(view.overlap)}"
+            )
         output.print(photographs.step_words)
         output.print(f"{counted(len(found), 'picture')} and next.json in {folder}")
-        if not run.finished or not run.folder_or_refuse().results():
+        if not run.finished or not place.results():
             return 0
-        files, failures = run.report(run.parts["reports"])
-        for file in files:
-            output.print(f"page  {run.folder_or_refuse().path / file}")
-        return print_failures([f.model_dump() for f in failures], arguments.run_folder)
+        return report(run, place, run.parts["reports"])
 
 
 def _doubt(overlap: float) -> str:

@@ -34,18 +34,18 @@ def write(run: Run, found: Sequence[NextView], names: Sequence[str] | None, fold
     for old in folder.glob("*.png"):
         old.unlink()
     confidence, listed = run.confidence(ESTIMATOR), []
-    for number, one in enumerate(found, start=1):
-        rendered = run.rendering(one.camera).rgb
-        drawn = hatched(rendered, confidence.of(one.camera), SHOWN)
+    for number, view in enumerate(found, start=1):
+        rendered = run.rendering(view.camera).rgb
+        drawn = hatched(rendered, confidence.of(view.camera), SHOWN)
         save_png(drawn, folder / f"{number}.png")
         listed.append(
             {
                 "picture": f"{number}.png",
-                "name": None if names is None else names[one.index],
-                "words": one.words,
-                "gain": round(one.gain, 4),
-                "overlap": round(one.overlap, 4),
-                **_camera(one.camera),
+                "name": None if names is None else names[view.index],
+                "words": view.words,
+                "gain": round(view.gain, 4),
+                "overlap": round(view.overlap, 4),
+                **_camera(view.camera),
             }
         )
     content = {"iteration": run.iteration, "frames": listed}

@@ -1,23 +1,23 @@
 """Find the prior and settings for an ONNX file by trying them on a scene with known depth.
 
-Each installed prior suggests settings (`Prior.settings_for`); those with the smallest error are the best.
+Priors that run ONNX files suggest settings (`RunsOnnxFiles`); those with the smallest error are the best.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from registry import PluginError, Prior, TrainingView
+from registry.calls.blame import blame as blamed
 from registry.contract.hook_points import HOOK_POINTS
 from registry.discovery import Offer, Plugins
-from registry.pipeline.blame import blame as blamed
 from registry.pipeline.edits import apply_override
 from registry.pipeline.parts import build_part, load_scene
 from registry.pipeline.pipeline import component_item
@@ -44,6 +44,19 @@ RELATIVE_DEPTH = 0.03
 """Largest relative error of a correct depth."""
 _SAME_SURFACE = 0.02
 """Largest relative depth difference between two views of the same surface point."""
+
+
+@runtime_checkable
+class RunsOnnxFiles(Protocol):
+    """What `stereogs priors check` asks of a prior; others have no `settings_for` and are not tried."""
+
+    @classmethod
+    def settings_for(cls, model: OnnxModel) -> Sequence[Mapping[str, Any]]:
+        """Return candidate settings for an ONNX file, the likeliest first; none if the prior cannot run it.
+
+        Each includes the file and consists of plain values. Options that the graph's names and sizes do not
+        determine, such as the values of black and white, need a candidate for each possibility.
+        """
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,7 @@ def guesses(model: OnnxModel, plugins: Plugins, changes: Sequence[str] = ()) -> 
     found = [
         Guess(offer, _changed(offer, dict(settings), changes))
         for offer in plugins.all()
-        if offer.point is _PRIORS and issubclass(offer.component, Prior)
+        if offer.point is _PRIORS and issubclass(offer.component, RunsOnnxFiles)
         for settings in offer.component.settings_for(model)
     ]
     if not found:

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch.nn.functional import normalize
 
-from core_rasterizer import SH_C0
+from core_rasterizer.gaussians import SH_C0
 from registry.toolkit.drawing import to_bytes
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def add_cameras(
         extent: of the cameras, in the browser's units.
         unit: the browser's unit in world units.
     """
-    return [_add_frustum(server, one, _FRUSTUM * extent, unit) for one in viewpoints]
+    return [_add_frustum(server, point, _FRUSTUM * extent, unit) for point in viewpoints]
 
 
 def _add_frustum(server: Any, viewpoint: Viewpoint, size: float, unit: float) -> Any:

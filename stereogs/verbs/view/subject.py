@@ -150,7 +150,7 @@ def _cameras_of(ply: Path) -> list[tuple[str, Camera]]:
         return []
     try:
         listed = read_document(file, _CameraList, "export it again, or remove it").root
-        return [(one.img_name, one.camera()) for one in listed]
+        return [(camera.img_name, camera.camera()) for camera in listed]
     except (ExplainedError, np.linalg.LinAlgError) as error:
         what = error.what if isinstance(error, ExplainedError) else str(error)
         _log.warning("the cameras are not shown: %s (%s)", what, file)
@@ -181,7 +181,7 @@ class StartPose:
 def start_pose(subject: Subject) -> StartPose:
     """Return the pose of the central training camera, upright; without cameras, one that sees everything."""
     means = subject.model.read("means").double()
-    cameras = [one.camera for one in subject.viewpoints if not one.is_test]
+    cameras = [point.camera for point in subject.viewpoints if not point.is_test]
     if not cameras:
         center = means.median(dim=0).values
         spread = float((means - center).norm(dim=1).median())

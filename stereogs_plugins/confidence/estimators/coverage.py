@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SAME_SURFACE = 0.03
 """Largest relative difference of depths at which a training camera sees a point."""
-SOLID = 0.5
+SURFACE_ALPHA = 0.5
 """Least alpha of a pixel that shows a surface; others show what is behind the scene."""
 
 
@@ -54,7 +54,7 @@ class CoverageConfidence(Confidence):
         scene = self._trained.scene
         rendering = self._trained.model.render(camera, background=scene.background)
         depth = rendering.depth / rendering.alpha.clamp(min=1e-6)
-        return rendering, depth.where(rendering.alpha > SOLID, torch.inf)
+        return rendering, depth.where(rendering.alpha > SURFACE_ALPHA, torch.inf)
 
     def seen_by(self, camera: Camera) -> tuple[Rendering, list[Seen]]:
         """Return the render of a camera, and what each training view tells about its pixels."""

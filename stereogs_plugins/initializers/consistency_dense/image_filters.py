@@ -25,10 +25,10 @@ def blurred(image: Colors, sigma: float, *, outside: Literal["mirrored", "border
     reach = int(KERNEL_REACH * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     weights /= weights.sum()
-    one = np.ones(1)
+    unchanged = np.ones(1)
     border = cv2.BORDER_REFLECT if outside == "mirrored" else cv2.BORDER_REPLICATE
     # Sums in double precision: in single they would depend on the processor's vector width.
-    for along_rows, along_columns in ((one, weights), (weights, one)):
+    for along_rows, along_columns in ((unchanged, weights), (weights, unchanged)):
         sums = cv2.sepFilter2D(image, cv2.CV_64F, along_rows, along_columns, borderType=border)
         image = sums.astype(np.float32)
     return image

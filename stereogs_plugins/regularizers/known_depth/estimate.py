@@ -57,12 +57,12 @@ class Farness:
         multi_view = MultiViewDepthPrior.choose(step.priors, self._prior)
         maps: list[DepthMap] = multi_view.depths(step.scene.train, step.scene.bounds)
         return {
-            one.name: (known.depth, _shown(one, known.valid))
-            for one, known in zip(step.scene.train, maps, strict=True)
+            other.name: (known.depth, _shown(other, known.valid))
+            for other, known in zip(step.scene.train, maps, strict=True)
         }
 
     def _monocular(self, priors: Mapping[str, Prior[Any]]) -> bool:
-        names = [name for name, one in priors.items() if isinstance(one, MonocularDepthPrior)]
+        names = [name for name, prior in priors.items() if isinstance(prior, MonocularDepthPrior)]
         return self._prior in names if self._prior is not None else bool(names)
 
 

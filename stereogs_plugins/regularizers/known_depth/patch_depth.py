@@ -8,7 +8,7 @@ their centres; the soft form changes only opacities. Use both with `step: alone`
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
@@ -26,8 +26,12 @@ SHARE_OF_IMAGE = 0.01
 SMALLEST = 1e-8
 """Added to square roots, whose slope at 0 is infinite, and to divisors."""
 
+LOCAL_WEIGHT = 0.1
+"""Weight of patches normalized by their own standard deviation; those normalized by the image's have 1."""
+
 
 class PatchDepthSettings(Settings):
+    removed: ClassVar = {"local_weight": LOCAL_WEIGHT, "global_weight": 1.0}
     form: Literal["hard", "soft"]
     """hard: moves centres, with opacities fixed at 0.95; soft: changes opacities."""
     prior: str | None = None
@@ -38,10 +42,6 @@ class PatchDepthSettings(Settings):
     """Largest side; each iteration draws one. DNGaussian: 17 on LLFF and Blender, 53 on DTU."""
     tolerance: float = Field(2.5e-4, ge=0, allow_inf_nan=False)
     """Differences of normalized depth up to this are ignored. DNGaussian: 2.5e-4 on LLFF, 0.01 on DTU."""
-    local_weight: float = Field(0.1, ge=0, allow_inf_nan=False)
-    """Weight of patches normalized by their own standard deviation."""
-    global_weight: float = Field(1.0, ge=0, allow_inf_nan=False)
-    """Weight of patches normalized by the image's standard deviation."""
 
 
 class PatchDepth(Regularizer[PatchDepthSettings]):
@@ -82,9 +82,8 @@ class PatchDepth(Regularizer[PatchDepthSettings]):
         side = min(int(drawn), *known.shape)
         rendered = Patches(self._depth(step), known, side)
         wanted = Patches(target, known, side)
-        return settings.local_weight * self._difference(
-            rendered, wanted, "local"
-        ) + settings.global_weight * self._difference(rendered, wanted, "global")
+        local = self._difference(rendered, wanted, "local")
+        return LOCAL_WEIGHT * local + self._difference(rendered, wanted, "global")
 
     def _difference(
         self, rendered: Patches, wanted: Patches, form: Literal["local", "global"]

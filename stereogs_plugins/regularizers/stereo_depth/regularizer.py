@@ -8,7 +8,7 @@ Gradients flow into the depth rendered at the left camera only, not into the rig
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
@@ -40,8 +40,12 @@ MIN_ALPHA = 0.05
 MIN_DEPTH = 1e-3
 """In units of the scene's near bound; at smaller depths 1 / depth diverges."""
 
+DARK_LEVEL = 30
+"""With `background: intensity` a pixel is dark if all its channels are below this 8-bit value."""
+
 
 class StereoDepthSettings(Settings):
+    removed: ClassVar = {"background_level": DARK_LEVEL}
     prior: str | None = None
     """Name of the stereo prior; null uses the only one."""
     baseline: BaselineSettings = BaselineSettings()
@@ -51,10 +55,8 @@ class StereoDepthSettings(Settings):
     validity_mask: bool = True
     """If False, all pixels with a disparity are used (the paper's ablation)."""
     background: Literal["alpha", "intensity", "none"] = "alpha"
-    """Excluded pixels: those not `solid` in a photograph with alpha (Blender); dark ones with a dark
-    run to their left (DTU); or none. Depth of a backdrop would produce fog."""
-    background_level: int = Field(30, ge=0, le=255)
-    """For `intensity`: a pixel is dark if all its channels are below this 8-bit value."""
+    """Excluded pixels: those not `solid` in a photograph with alpha (Blender); dark ones, all channels
+    below 30 of 255, with a dark run to their left (DTU); or none. Depth of a backdrop would produce fog."""
     depth: Literal["accumulated", "expected"] = "accumulated"
     """Rendered depth: as blended (the paper), or divided by alpha, which has no gradient to opacities."""
     normalize: Literal["none", "zref", "disparity"] = "none"
@@ -134,7 +136,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         import torch
 
         if self.settings.background == "intensity":
-            return dark_background(view.image, self.settings.background_level)
+            return dark_background(view.image, DARK_LEVEL)
         if self.settings.background == "alpha" and view.solid is not None:
             return ~view.solid
         return torch.zeros(view.image.shape[:2], dtype=torch.bool)

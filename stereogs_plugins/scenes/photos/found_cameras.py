@@ -20,14 +20,8 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .dense.check import DenseCheck
-from .dense.matches import dense_matches
-from .dense.refinement import refine
-from .dense.views import View
-from .learned_matches import add_learned_matches
-from .mapping import Piece, place_cameras
-from .no_depth import doubt_of
-from .structure_from_motion import Reconstruction, reconstruct
+from .photogrammetry.mapping import Piece
+from .photogrammetry.structure_from_motion import Reconstruction
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
@@ -68,23 +62,12 @@ def remembered_cameras(
 
 
 def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
+    code = sorted(Path(__file__).with_name("photogrammetry").rglob("*.py"))
     return content_key(
         treatment,
         version("pycolmap"),
-        source_digest(
-            reconstruct,
-            place_cameras,
-            DenseCheck,
-            View,
-            dense_matches,
-            refine,
-            doubt_of,
-            add_learned_matches,
-            KeypointNetworks,
-            UnposedPhoto,
-            Decoder,
-            longest_side,
-        ),
+        *(path.read_bytes() for path in code),
+        source_digest(KeypointNetworks, UnposedPhoto, Decoder, longest_side),
         *(photo.digest for photo in photos),
     )
 
@@ -95,34 +78,23 @@ def _write(found: Reconstruction, folder: Path) -> None:
         target.mkdir()
         for file in _FILES:
             shutil.copy(piece.folder / file, target)
-    summary = {
-        "pieces": [
-            {k: v for k, v in piece._asdict().items() if k != "folder"} for piece in found.pieces
-        ],
-        "matches": [[*pair, count] for pair, count in found.matches.items()],
-        "features": found.features,
-        "tried": found.tried,
-        "doubts": [[*pair, doubt] for pair, doubt in found.doubts.items()],
-        "ignores_exif": found.ignores_exif,
+    summary = vars(found) | {
+        "pieces": [piece._replace(folder=Path())._asdict() for piece in found.pieces],
+        "matches": [*found.matches.items()],
+        "doubts": [*found.doubts.items()],
     }
-    (folder / _SUMMARY).write_text(json.dumps(summary), "utf-8")
+    (folder / _SUMMARY).write_text(json.dumps(summary, default=str), "utf-8")
 
 
 def _read(folder: Path) -> FoundCameras:
     summary = json.loads((folder / _SUMMARY).read_bytes())
-    pieces = [
-        Piece(folder / f"piece_{number}", **piece) for number, piece in enumerate(summary["pieces"])
+    summary["pieces"] = [
+        Piece(**piece | {"folder": folder / f"piece_{number}"})
+        for number, piece in enumerate(summary["pieces"])
     ]
-    matches = {(first, second): count for first, second, count in summary["matches"]}
-    doubts = {(first, second): doubt for first, second, doubt in summary["doubts"]}
-    reconstruction = Reconstruction(
-        pieces=pieces,
-        matches=matches,
-        features=summary["features"],
-        tried=tuple(summary["tried"]),
-        doubts=doubts,
-        ignores_exif=summary["ignores_exif"],
-    )
+    for pairs in ("matches", "doubts"):
+        summary[pairs] = {(first, second): value for (first, second), value in summary[pairs]}
+    reconstruction = Reconstruction(**summary | {"tried": tuple(summary["tried"])})
     return FoundCameras(reconstruction, _model(reconstruction))
 
 

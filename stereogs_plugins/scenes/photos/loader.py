@@ -113,8 +113,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
     def _find_cameras(self, found: list[UnposedPhoto]) -> FoundCameras:
         from .found_cameras import remembered_cameras
-        from .learned_matches import known_files
-        from .structure_from_motion import reconstruct
+        from .photogrammetry.learned_matches import known_files
+        from .photogrammetry.structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
@@ -126,7 +126,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
-    from .unposed_photos import image_index
+    from .photogrammetry.colmap import image_index
 
     names = _names(found)
     return [
@@ -162,7 +162,7 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
 
 
 def _warn_of_left_out(folder: Path, files: list[LeftOut]) -> None:
-    told = sum(one.reason != COMPANION for one in files)
+    told = sum(file.reason != COMPANION for file in files)
     if told:
         lines = left_out_lines(folder, files)
         _log.warning("%s left out:\n  %s", counted(told, "file"), "\n  ".join(lines))
@@ -204,7 +204,8 @@ def _warn_of_altered(cameras: FoundCameras, names: list[str]) -> None:
 
 def _warn_of_exif(model: ColmapModel, found: list[UnposedPhoto]) -> None:
     """Warn, with the photograph whose focal length differs most from the estimated one."""
-    from .unposed_photos import equivalent_focal, image_index
+    from .photogrammetry.colmap import image_index
+    from .unposed_photos import equivalent_focal
 
     focals = []
     for _, image in model.images:

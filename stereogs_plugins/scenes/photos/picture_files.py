@@ -19,18 +19,8 @@ UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 """Suffixes of unsupported picture formats, which are left out."""
 _PICTURES = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES)
 _COMPANION_NAMES = ("thumbs.db", "ehthumbs.db", "desktop.ini", "picasa.ini", "icon\r")
-_COMPANION_SUFFIXES = (
-    ".aae",
-    ".xmp",
-    ".thm",
-    ".ctg",
-    ".lrv",
-    ".mov",
-    ".mp4",
-    ".m4v",
-    ".3gp",
-    ".avi",
-)
+_VIDEOS = (".mov", ".mp4", ".m4v", ".3gp", ".avi")
+_COMPANION_SUFFIXES = (".aae", ".xmp", ".thm", ".ctg", ".lrv", *_VIDEOS)
 _COMPANION_FOLDERS = ("__macosx", "@eadir")
 _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
@@ -153,7 +143,7 @@ def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:
 
 def left_out_lines(folder: Path, files: Sequence[LeftOut]) -> list[str]:
     """Return a line for each reason, with the files that share it, except files that belong to pictures."""
-    told = [one for one in files if one.reason != COMPANION]
+    told = [file for file in files if file.reason != COMPANION]
     names = [path.relative_to(folder).as_posix() for path, _ in told]
     lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
     return [line.strip() for line in lines]

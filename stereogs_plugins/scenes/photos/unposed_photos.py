@@ -5,28 +5,25 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry import SceneError
 from registry.toolkit.photos import Size, open_8_bit, upright_size
 from registry.toolkit.progress import in_parallel
 
+from .photogrammetry.thresholds import EXIF_FOCAL_RANGE, MIN_PHOTOS
 from .picture_files import LeftOut, left_out_lines, readable_pictures
 
 if TYPE_CHECKING:
     from PIL import Image
 
-MIN_PHOTOS = 3
-"""Least photographs, except for two with known focal lengths: two do not determine it."""
 _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 _DIAGONAL_35MM = math.hypot(36, 24)
 """Diagonal of a 35 mm frame in millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
-_FOCAL_RANGE = (0.2, 20.0)
-"""Accepted focal lengths in EXIF, in units of the longer side."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +76,8 @@ def read_folder(folder: Path) -> PictureFolder:
     read = in_parallel(
         lambda path: _read(path, path.relative_to(folder).as_posix()), paths, stage="reading"
     )
-    photos = [one for one in read if isinstance(one, UnposedPhoto)]
-    left_out += [one for one in read if isinstance(one, LeftOut)]
+    photos = [photo for photo in read if isinstance(photo, UnposedPhoto)]
+    left_out += [file for file in read if isinstance(file, LeftOut)]
     original: dict[str, UnposedPhoto] = {}
     for photo in sorted(photos, key=lambda photo: len(photo.name)):
         original.setdefault(photo.digest, photo)
@@ -133,19 +130,16 @@ def _focal_length(exif: dict[int, Any], size: Size) -> float | None:
     """Focal length in units of the longer side, from the 35 mm equivalent or the sensor's pixel density."""
     longer = max(size)
     equivalent, millimetres = _number(exif, _FOCAL_35MM), _number(exif, _FOCAL_MM)
-    density, unit = (
-        _number(exif, _FOCAL_PLANE_DENSITY),
-        _UNIT_MM.get(exif.get(_FOCAL_PLANE_UNIT, 2)),
-    )
+    density, unit = _number(exif, _FOCAL_PLANE_DENSITY), exif.get(_FOCAL_PLANE_UNIT, 2)
     if equivalent:
         focal = equivalent / _DIAGONAL_35MM * math.hypot(*size) / longer
-    elif millimetres and density and unit:
+    elif millimetres and density and unit in _UNIT_MM:
         # The density refers to the original photograph, which may have been larger.
         taken = max(_number(exif, _PIXELS_WIDE) or longer, longer)
-        focal = millimetres * density / unit / taken
+        focal = millimetres * density / _UNIT_MM[unit] / taken
     else:
         return None
-    return focal if _FOCAL_RANGE[0] < focal < _FOCAL_RANGE[1] else None
+    return focal if EXIF_FOCAL_RANGE[0] < focal < EXIF_FOCAL_RANGE[1] else None
 
 
 def equivalent_focal(focal: float, size: Size) -> float:
@@ -160,13 +154,3 @@ def _number(exif: dict[int, Any], tag: int) -> float | None:
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
     return value if 0 < value < math.inf else None
-
-
-def image_name(index: int) -> str:
-    """Name of a photograph in a COLMAP model."""
-    return f"{index:04d}.png"
-
-
-def image_index(name: str) -> int:
-    """Inverse of `image_name`."""
-    return int(PurePath(name).stem)

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from pydantic import Field
 
@@ -25,8 +25,11 @@ from registry.toolkit.cache import Cache, content_key, source_digest
 from .loader import PhotosScene, PhotosSettings
 
 if TYPE_CHECKING:
+    import cv2.typing
     import numpy as np
     from numpy.typing import NDArray
+
+    Pixels = NDArray[np.uint8]
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 """Suffixes of video files, in lower case."""
@@ -129,8 +132,8 @@ def chosen_frames(candidates: Sequence[Candidate], wanted: int) -> list[int]:
     import numpy as np
 
     if len(candidates) <= wanted:
-        return [one.number for one in candidates]
-    position = np.cumsum([max(one.motion, _MIN_MOTION) for one in candidates])
+        return [frame.number for frame in candidates]
+    position = np.cumsum([max(frame.motion, _MIN_MOTION) for frame in candidates])
     position = (position - position[0]) / (position[-1] - position[0]) * wanted
     chosen = set()
     for part in range(wanted):
@@ -149,7 +152,7 @@ def _candidates(video: Path, wanted: int) -> list[Candidate]:
     import numpy as np
 
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    before: NDArray[np.uint8] | None = None
+    before: Pixels | None = None
     found = []
     for number, frame in _frames(video, CANDIDATES * wanted):
         grey = _reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), _SHARPNESS_SIZE)
@@ -165,11 +168,15 @@ def _candidates(video: Path, wanted: int) -> list[Candidate]:
     return found
 
 
-def _reduced(grey: Any, size: int) -> Any:
+def _reduced(grey: cv2.typing.MatLike, size: int) -> Pixels:
+    """The picture `[H, W]` with a longer side of at most `size` pixels."""
     import cv2
+    import numpy as np
 
-    scale = size / max(grey.shape)
-    return grey if scale >= 1 else cv2.resize(grey, None, None, scale, scale, cv2.INTER_AREA)
+    scale = min(1.0, size / max(grey.shape))
+    if scale < 1:
+        grey = cv2.resize(grey, None, None, scale, scale, cv2.INTER_AREA)
+    return np.asarray(grey, np.uint8)
 
 
 def _write(video: Path, numbers: set[int], folder: Path) -> None:
@@ -183,7 +190,7 @@ def _write(video: Path, numbers: set[int], folder: Path) -> None:
 
 def _frames(
     video: Path, about: int | None, numbers: set[int] | None = None
-) -> Iterator[tuple[int, Any]]:
+) -> Iterator[tuple[int, cv2.typing.MatLike]]:
     """Yield frames, upright, with their numbers: about as many as given, evenly spaced, or those given.
 
     Raises:

@@ -12,10 +12,9 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from core_rasterizer import ExplainedError
-from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.toolkit.networks import OnnxModel
-from registry.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from tests.fuzzing.target import Target
+from tests.host import Checkpoint, load_checkpoint, load_estimate, save_checkpoint, save_estimate
 
 TENSORS = {"model/means": torch.arange(12.0).reshape(4, 3), "order": torch.arange(5)}
 

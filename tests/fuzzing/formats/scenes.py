@@ -13,11 +13,11 @@ from registry import Scene, SceneLoader
 from stereogs_plugins.scenes.blender import BlenderScene
 from stereogs_plugins.scenes.colmap import ColmapScene
 from stereogs_plugins.scenes.dtu import DTUScene
-from stereogs_plugins.scenes.dtu.loader import TEST_VIEWS, TRAIN_VIEWS
 from stereogs_plugins.scenes.llff import LLFFScene
 from stereogs_plugins.scenes.nerfstudio import NerfstudioScene
 from tests.fuzzing.damage import OUTSIDE
 from tests.fuzzing.target import Target
+from tests.host import TEST_VIEWS, TRAIN_VIEWS
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.scenes.small_scenes import (
     DTU_VIEWS,

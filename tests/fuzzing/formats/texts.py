@@ -9,10 +9,9 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from unittest import mock
 
-from registry.discovery import GROUP, Plugins
-from registry.pipeline.pipeline import load_pipeline, parse_pipeline
-from registry.runs.results import Results, read_results
+from registry.runs import read_results
 from tests.fuzzing.target import Target
+from tests.host import GROUP, Plugins, Results, load_pipeline, parse_pipeline
 from tests.registry.runs.test_results_file import RESULTS
 
 _ROOT = Path(__file__).parents[3]

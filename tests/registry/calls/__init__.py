@@ -1,0 +1,1 @@
+"""Tests of `registry.calls`, which import its modules."""

@@ -13,10 +13,9 @@ from registry.calls.read_only_guard import (
     of_rendering,
     of_scene,
 )
-from registry.pipeline.training_settings import TrainingSettings
 from registry.priors import DepthMap
 from registry.testing import tiny_scene
-from registry.training.initial_model import initial_gaussians
+from tests.host import TrainingSettings, initial_gaussians
 
 Write = Callable[[Scene], object]
 

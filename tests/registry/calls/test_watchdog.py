@@ -11,7 +11,7 @@ import pytest
 
 from registry import PluginError
 from registry.calls.watchdog import EXPECTED, EXPECTED_IN_LOOP, PATIENCE, Hang, Watchdog
-from registry.toolkit.progress.stages import Stages
+from tests.host import Stages
 
 
 class Clock:

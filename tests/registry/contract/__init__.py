@@ -1,0 +1,1 @@
+"""Tests of `registry.contract`, which import its modules."""

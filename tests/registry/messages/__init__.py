@@ -1,0 +1,1 @@
+"""Tests of `registry.messages`, which import its modules."""

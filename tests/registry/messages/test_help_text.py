@@ -5,8 +5,7 @@ import argparse
 import pytest
 
 from registry.messages.terminal import HelpFormatter
-from stereogs.cli import main
-from stereogs.command_line.installed import verbs
+from tests.host import main, verbs
 
 TEXT = """\
 examples:

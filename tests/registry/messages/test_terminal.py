@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import io
-import logging
 from pathlib import Path
 
 import pytest
 from rich.table import Table
 
 from registry.messages.terminal import PlainConsole, visible
-from registry.runs.options import RunOptions
-from stereogs.cli import main
-from stereogs.command_line.output import LogLines
+from stereogs import RunOptions
+from tests.host import main
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\x9b31mb\u202ec\r\nd"
 TAMED = "a\\x1b[2J\\x1b]0;owned\\x07\\x9b31mb\\u202ec"
@@ -41,21 +39,6 @@ def test_a_console_escapes_control_characters_in_text() -> None:
 
 def test_every_console_of_the_host_is_a_plain_console() -> None:
     assert isinstance(RunOptions().console(), PlainConsole)
-
-
-def test_log_lines_are_escaped(capsys: pytest.CaptureFixture[str]) -> None:
-    LogLines().emit(logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (EVIL,), None))
-    written = capsys.readouterr().err
-    assert written.startswith("stereogs: a\\x1b[2J")
-    assert written.replace("\n", "").isprintable()
-
-
-def test_a_log_line_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
-    """A scene that is read again, smaller, repeats its warnings."""
-    lines = LogLines()
-    for text in ("one", "two", "one"):
-        lines.emit(logging.LogRecord("stereogs", logging.INFO, "", 0, "%s", (text,), None))
-    assert capsys.readouterr().err == "stereogs: one\nstereogs: two\n"
 
 
 def test_control_characters_in_a_name_are_escaped(

@@ -1,0 +1,1 @@
+"""Tests of `registry.pipeline`, which import its modules."""

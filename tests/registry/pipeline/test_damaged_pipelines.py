@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import ExplainedError
-from registry.discovery import Plugins
 from registry.pipeline.pipeline import load_pipeline
 from tests.fuzzing.formats.texts import ENVIRONMENT, shipped_plugins
+from tests.host import Plugins
 
 SHIPPED = Path(__file__).parents[3] / "pipelines" / "stereogs.yaml"
 SLOWEST = 1.0

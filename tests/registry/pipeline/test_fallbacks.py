@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Item, load_pipeline, parse_pipeline
+from tests.host import SELECTION, PipelineError, Plugins
 
 METHODS = Path(__file__).parents[3] / "pipelines" / "methods"
 TEXT = """\

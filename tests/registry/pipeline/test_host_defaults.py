@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 
-from registry import HostDefaults, Percent
-from registry.contract.component import Component
-from registry.discovery import Plugins
-from registry.errors import PipelineError
+from registry import Component, HostDefaults, Percent
 from registry.pipeline.pipeline import Item, parse_pipeline
+from tests.host import PipelineError, Plugins
 from tests.registry.toy_plugin import ToyGrowth, ToyTerm
 
 TEXT = "name: t\nscene: toy_scene\ninitializer: toy_points\n"

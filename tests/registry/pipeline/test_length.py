@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.training_settings import VIEWS, iterations_of_a_run
+from tests.host import PipelineError, Plugins
 
 TEXT = """\
 name: toy

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from registry import PluginError
-from registry.discovery import Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
+from tests.host import PipelineError, Plugins
 
 MINIMAL = """\
 name: small

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 import registry.pipeline.protocols as protocols
-from registry.discovery import Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.protocols import load_protocol, protocol_names
+from tests.host import PipelineError, Plugins
 
 NAMES = (
     *("blender-8", "blender-8-dietnerf", "dtu-3", "dtu-6", "dtu-9", "llff-3", "llff-6", "llff-9"),

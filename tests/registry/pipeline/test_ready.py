@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from registry.errors import PipelineError
 from registry.pipeline import ready
 from registry.pipeline.ready import find_pipeline, ready_pipelines
+from tests.host import PipelineError
 
 ROOT = Path(__file__).parents[3]
 

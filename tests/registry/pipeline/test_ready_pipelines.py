@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
 from registry.pipeline.pipeline import Item, Pipeline, load_pipeline
+from tests.host import SELECTION, Plugins
 
 PIPELINES = Path(__file__).parents[3] / "pipelines"
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from registry.discovery import Plugins
-from registry.errors import PipelineError
 from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.pipeline.schedule import in_iterations
 from registry.pipeline.yaml_source import Node, Place
+from tests.host import PipelineError, Plugins
 
 TEXT = """\
 name: shares

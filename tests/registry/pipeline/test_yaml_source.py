@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from registry.errors import PipelineError
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, read, resolve, to_yaml
+from tests.host import PipelineError
 
 
 def value(text: str) -> Any:

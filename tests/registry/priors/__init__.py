@@ -1,0 +1,1 @@
+"""Tests of `registry.priors`, which import its modules."""

@@ -1,0 +1,1 @@
+"""Tests of `registry.runs`, which import its modules."""

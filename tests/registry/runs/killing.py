@@ -17,10 +17,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
+
+import safetensors.torch
 
 import registry.runs.training_run  # so that no child needs to
-from registry.training import checkpoint
-from stereogs.cli import main
+from tests.host import main
 
 PIPELINE = """\
 name: killed
@@ -54,7 +56,8 @@ class Moments:
         os.fsync = self._around(os.fsync)
         Path.rename = self._around(Path.rename)  # type: ignore[method-assign]
         Path.replace = self._around(Path.replace)  # type: ignore[method-assign]
-        checkpoint.save_file = self._half_way(checkpoint.save_file)
+        torn = self._half_way(safetensors.torch.save_file)
+        mock.patch("registry.training.checkpoint.save_file", torn).start()
 
     def _around(self, call: Call) -> Call:
         def watched(*arguments: Any, **options: Any) -> Any:

@@ -11,16 +11,20 @@ import pytest
 
 from core_rasterizer import Device, ExplainedError
 from registry import RunError
-from registry.discovery import GROUP, Plugins
-from registry.pipeline.pipeline import parse_pipeline
-from registry.runs.opening import open_run
+from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
+from registry.runs.outputs import renew
 from registry.runs.run import Run
-from registry.runs.training_run import resume, start
-from registry.toolkit.cache import keys
-from stereogs.experiments.comparing.comparability import comparable_groups
-from stereogs.experiments.comparing.comparison import read_run
-from stereogs.experiments.comparing.labels import labels
+from registry.runs.training_run import continue_run, start_run
+from tests.host import (
+    GROUP,
+    Plugins,
+    comparable_groups,
+    labels,
+    module_digest,
+    parse_pipeline,
+    read_run,
+)
 from tests.registry.conftest import TOYS
 
 TEXT = """\
@@ -70,7 +74,7 @@ class Acme:
         (site / "acme.py").write_text(MODULE.replace("FACTOR", str(factor)))
         self._monkeypatch.syspath_prepend(site)
         self._monkeypatch.delitem(sys.modules, "acme", raising=False)
-        keys.module_digest.cache_clear()
+        module_digest.cache_clear()
         (package,) = distributions(path=[str(site)])
         return Plugins([*TOYS, *package.entry_points])
 
@@ -86,7 +90,7 @@ def quiet(device: Device) -> RunOptions:
 
 def trained(plugins: Plugins, device: Device, out: Path, *, until: int = 6) -> Run:
     options = replace(quiet(device), callback=lambda done: done.number < until)
-    return start(parse_pipeline(TEXT, plugins, source="p.yaml"), options, out)
+    return start_run(parse_pipeline(TEXT, plugins, source="p.yaml"), options, out)
 
 
 @pytest.mark.parametrize(("version", "factor"), [("2.0", 0.5), ("1.0", 0.25)])
@@ -98,13 +102,13 @@ def test_a_run_resumes_with_other_plugins_only_if_they_are_accepted(
     trained(acme.installed("1.0", 0.5), device, out, until=3)
     other = acme.installed(version, factor)
     with pytest.raises(RunError, match="plugins have changed") as caught:
-        resume(out, quiet(device), other)
+        continue_run(out, quiet(device), other)
     assert f"regularizers.acme_term is now of acme {version}" in caught.value.what
     assert "was of acme 1.0" in caught.value.what
     assert "--accept-changed-plugins" in caught.value.fix
     accepting = replace(quiet(device), accept_changed_plugins=True)
-    assert resume(out, accepting, other).finished
-    assert resume(out, quiet(device), other).finished, "the last resumption counts"
+    assert continue_run(out, accepting, other).finished
+    assert continue_run(out, quiet(device), other).finished, "the last resumption counts"
 
 
 def test_eval_refuses_another_metric_and_compare_separates_the_runs(
@@ -113,9 +117,9 @@ def test_eval_refuses_another_metric_and_compare_separates_the_runs(
     first, second = tmp_path / "first", tmp_path / "second"
     trained(acme.installed("1.0", 0.5), device, first)
     other = acme.installed("3.0", 0.75)
-    run = open_run(first, plugins=other, device=device, to_train=False)
+    run = load_run(first, plugins=other, device=device, to_train=False)
     with pytest.raises(RunError, match=r"metrics.acme_score is now of acme 3\.0"):
-        run.renew()
+        renew(run, run.folder_or_refuse())
     trained(other, device, second)
     runs = [read_run(path) for path in (first, second)]
     (_, _), (_, reason) = comparable_groups(runs)
@@ -123,8 +127,12 @@ def test_eval_refuses_another_metric_and_compare_separates_the_runs(
     assert "acme 3.0" in reason
     for label, version in zip(labels(runs), ("1.0", "3.0"), strict=True):
         assert f"packages.regularizers.acme_term=acme {version}" in label
-    assert run.renew(accept_changed_plugins=True)["test"] == {"acme_score": 0.75}
-    assert run.renew()["packages"]["metrics.acme_score"].startswith("acme 3.0")
+    assert renew(run, run.folder_or_refuse(), accept_changed_plugins=True)["test"] == {
+        "acme_score": 0.75
+    }
+    assert renew(run, run.folder_or_refuse())["packages"]["metrics.acme_score"].startswith(
+        "acme 3.0"
+    )
 
 
 def test_a_finished_run_is_used_without_the_plugins_that_trained_it(
@@ -133,15 +141,15 @@ def test_a_finished_run_is_used_without_the_plugins_that_trained_it(
     out = tmp_path / "run"
     before = trained(acme.installed("1.0", 0.5), device, out)
     toys = Plugins(TOYS)
-    run = open_run(out, plugins=toys, device=device, to_train=False)
+    run = load_run(out, plugins=toys, device=device, to_train=False)
     assert run.hash == before.hash
     assert list(run.pipeline.missing) == ["regularizers.acme_term", "metrics.acme_score"]
     assert run.render(run.scene.test[0].camera).rgb.any()
     with pytest.raises(ExplainedError, match="no plugin offers the metric 'acme_score'") as caught:
-        run.renew()
+        renew(run, run.folder_or_refuse())
     assert "the run was written with" in caught.value.fix
     assert "acme 1.0" in caught.value.fix
     with pytest.raises(ExplainedError, match="no plugin offers the regularizer") as caught:
-        resume(out, quiet(device), toys)
+        continue_run(out, quiet(device), toys)
     assert "the run was written with" in caught.value.fix
     assert "acme 1.0" in caught.value.fix

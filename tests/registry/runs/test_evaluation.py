@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import replace
 from typing import Any
 
 import pytest
-from rich.console import Console
 from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, GaussianModel, Rendering
-from registry.contract.component import Context
-from registry.contract.hook_points import HOOK_POINTS
-from registry.discovery import Offer
-from registry.pipeline.parts import Part
-from registry.pipeline.pipeline import Item
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.training_settings import TrainingSettings
-from registry.pipeline.yaml_source import Place
+from registry import Context
 from registry.runs.evaluation import Scores, average_error, averaged, evaluate
 from registry.testing import tiny_scene
-from registry.training.initial_model import initial_gaussians
-from stereogs.command_line.output import results_table
+from tests.host import (
+    HOOK_POINTS,
+    HostSettings,
+    Item,
+    Offer,
+    Part,
+    Place,
+    TrainingSettings,
+    initial_gaussians,
+)
 
 PLACE = Place("a.yaml", 3)
 METRICS = next(point for point in HOOK_POINTS if point.section == "metrics")
@@ -186,26 +185,6 @@ def test_without_one_of_the_three_there_is_no_average_error(device: Device) -> N
     assert "avge" not in scored(device, *parts, lost).views["view0"]
     proper = answering("lpips_proper", 0.2, device)
     assert "avge" not in scored(device, *parts, proper).views["view0"]
-
-
-def test_the_table_distinguishes_missing_and_infinite_scores() -> None:
-    row = {"psnr": None, "lpips": None}
-    results = {
-        "pipeline": "p",
-        "scene": {"name": "s"},
-        "test": row,
-        "train": {"psnr": 20.0, "lpips": None, "avge": 0.5},
-        "views": {"test": {"v": row}, "train": {}},
-        "unavailable": {"lpips": "no network is named"},
-        "infinite": {"test": {"psnr": ["v"]}},
-    }
-    stream = io.StringIO()
-    Console(file=stream, width=100).print(results_table(results))
-    lines = stream.getvalue().splitlines()
-    cells = {line.split("│")[1].strip(): line.split("│")[2:-1] for line in lines if "│" in line}
-    assert [cell.strip() for cell in cells["v"]] == ["inf", "–", "–"]  # noqa: RUF001
-    assert [cell.strip() for cell in cells["train mean"]] == ["20.00", "–", "0.5000"]  # noqa: RUF001
-    assert "lpips: no network is named" in stream.getvalue()
 
 
 def test_the_first_test_view_is_measured_twice(

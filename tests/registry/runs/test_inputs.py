@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from registry import PointCloud, Scene, View
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.runs.origin import changed_inputs, input_digests, listed
 from registry.testing import tiny_scene
+from tests.host import Plugins, parse_pipeline
 
 TEXT = "name: x\nscene: toy_scene\ninitializer: toy_points\n"
 

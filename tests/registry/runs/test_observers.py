@@ -10,16 +10,13 @@ import pytest
 import registry as r
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError
-from registry.contract.hook_points import HOOK_POINTS
-from registry.discovery import Offer, Plugins
 from registry.events import IterationDone, ViewsScored
-from registry.pipeline.pipeline import Item, Pipeline, parse_pipeline
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.yaml_source import Place
-from registry.runs.opening import open_run
+from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
-from registry.runs.training_run import resume, start
+from registry.runs.training_run import continue_run, start_run
+from stereogs import Pipeline
+from tests.host import HOOK_POINTS, HostSettings, Item, Offer, Place, Plugins, parse_pipeline
 from tests.registry.conftest import TOYS
 from tests.registry.toy_plugin import ToyDiary
 
@@ -37,11 +34,11 @@ WATCHED = TEXT + "observers: [{use: toy_diary, every: 3}]\n"
 
 def trained(text: str, toys: Plugins, device: Device, out: Path | None, **more: Any) -> Run:
     pipeline = parse_pipeline(text, toys, source="p.yaml")
-    return start(pipeline, RunOptions(device=device, progress=False, **more), out)
+    return start_run(pipeline, RunOptions(device=device, progress=False, **more), out)
 
 
 def resumed(out: Path, toys: Plugins, device: Device) -> Run:
-    return resume(out, RunOptions(device=device, progress=False), toys)
+    return continue_run(out, RunOptions(device=device, progress=False), toys)
 
 
 def diary(out: Path) -> list[str]:
@@ -94,7 +91,7 @@ def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run,
         "recorder", r.Settings(), HostSettings(use="recorder", every=4), offer, Place("here")
     )
     pipeline.items["observers"] = (item,)
-    run = start(pipeline, RunOptions(device=device, progress=False), out)
+    run = start_run(pipeline, RunOptions(device=device, progress=False), out)
     return run, run.parts["observers"][0].component.told
 
 
@@ -150,7 +147,7 @@ def test_an_observer_that_fails_ends_the_run_and_is_named(
     assert error.where == f"observer 'toy_diary' (unknown package ?) at p.yaml:8{iteration}"
     assert "--disable toy_diary" in error.fix or when == "draws"
     reached = {"started": 0, "evaluated": 2, "ended": 6}.get(when, 2)
-    assert open_run(out, plugins=toys, device=device).iteration == reached
+    assert load_run(out, plugins=toys, device=device).iteration == reached
     assert ((out / "results.json").is_file()) == (when == "ended")
     assert not (out / "failures").exists(), "training itself did not fail"
     told = [line for line in diary(out) if line.startswith("ended")]

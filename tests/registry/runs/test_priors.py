@@ -14,7 +14,7 @@ import registry as r
 import stereogs
 from registry import PluginError
 from registry.testing import tiny_scene
-from stereogs.cli import main
+from tests.host import main
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.registry.toy_plugin import ToyPrior, ToyScene, ToyTerm
 

@@ -14,16 +14,14 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError, SceneError, Unavailable
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
 from registry.runs.folder import RunFolder
-from registry.runs.opening import open_run
+from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
+from registry.runs.outputs import renew
 from registry.runs.results import score_of
 from registry.runs.run import Run
-from registry.runs.training_run import resume, start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from stereogs.command_line.output import FAILED, conclude
+from registry.runs.training_run import continue_run, start_run
+from tests.host import FAILED, Plugins, conclude, parse_pipeline, read_checkpoint, write_checkpoint
 from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
 
 TEXT = """\
@@ -43,7 +41,7 @@ def train(toys: Plugins, device: Device, tmp_path: Path) -> Callable[[], Run]:
 
     def train() -> Run:
         pipeline = parse_pipeline(TEXT, toys, source="toy.yaml")
-        return start(pipeline, RunOptions(device=device, progress=False), tmp_path / "run")
+        return start_run(pipeline, RunOptions(device=device, progress=False), tmp_path / "run")
 
     return train
 
@@ -107,7 +105,7 @@ def test_failures_after_training_are_recorded_and_other_results_kept(
     said = capsys.readouterr().err
     assert f"stereogs: {name}: " in said
     assert f"stereogs eval {folder.path}" in said.replace("\n", "")
-    mended = open_run(folder.path, plugins=toys, device=device).renew()
+    mended = renew(load_run(folder.path, plugins=toys, device=device), folder)
     assert mended["failures"] == []
     assert (mended["exports"], mended["reports"]) == (["exports/count.txt"], ["report.txt"])
     assert mended["test"]["psnr"] > 0
@@ -162,7 +160,7 @@ def test_eval_refuses_gaussians_that_were_not_scored(
     before = (folder.path / "results.json").read_text()
     other_gaussians(folder)
     with pytest.raises(RunError, match="not those that results"):
-        open_run(folder.path, plugins=toys, device=device)
+        load_run(folder.path, plugins=toys, device=device)
     assert (folder.path / "results.json").read_text() == before
 
 
@@ -172,7 +170,7 @@ def test_eval_without_results_knows_what_the_folder_knows(
     folder = train().folder_or_refuse()
     before = folder.results()
     (folder.path / "results.json").unlink()
-    after = open_run(folder.path, plugins=toys, device=device).renew()
+    after = renew(load_run(folder.path, plugins=toys, device=device), folder)
     assert after["initialization"] == before["initialization"]
     assert after["seconds"] == before["seconds"] > 0
     assert after["stages"]["initialization"] == before["stages"]["initialization"]
@@ -185,16 +183,16 @@ def test_eval_refuses_a_checkpoint_older_than_the_results(
     folder = train().folder_or_refuse()
     before = folder.results()
     (max((folder.path / "checkpoint").iterdir()) / "manifest.json").unlink()
-    run = open_run(folder.path, plugins=toys, device=device)
+    run = load_run(folder.path, plugins=toys, device=device)
     assert run.iteration == 0
     with pytest.raises(
         RunError, match="of iteration 2, the newest intact checkpoint of 0"
     ) as caught:
-        run.renew()
+        renew(run, folder)
     assert "stereogs resume" in caught.value.fix
     assert folder.results() == before
     options = RunOptions(device=device, progress=False)
-    assert resume(folder.path, options, toys).finished
+    assert continue_run(folder.path, options, toys).finished
     assert folder.results()["hash"] == before["hash"]
 
 

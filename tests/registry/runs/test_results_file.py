@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 
 from registry import RunError
-from registry.pipeline.yaml_source import to_yaml
 from registry.runs.folder import RunFolder
 from registry.runs.results import read_results
-from stereogs.cli import main
 from stereogs_plugins.reports.html import HtmlReport
+from tests.host import main, to_yaml
 from tests.stereogs.experiments.comparing.conftest import PIPELINE, changed
 from tests.stereogs_plugins.building import build
 

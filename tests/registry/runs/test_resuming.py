@@ -17,15 +17,13 @@ from torch import Tensor
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError
 from registry import PluginError, RunError, Scene
-from registry.discovery import Plugins
 from registry.runs.folder import RunFolder
-from registry.runs.opening import open_run
+from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
 from registry.runs.progress import MetricsLog
 from registry.runs.run import Run
-from registry.runs.training_run import resume, start
-from registry.training.checkpoint import read_checkpoint, write_checkpoint
-from registry.training.trainer import Trainer
+from registry.runs.training_run import continue_run, start_run
+from tests.host import Plugins, Trainer, read_checkpoint, write_checkpoint
 from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyScene
 
@@ -63,7 +61,7 @@ def test_a_signal_then_resume_ends_in_the_same_bits(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     assert not (folder.path / "results.json").exists()
-    opened = open_run(folder.path, plugins=toys, device=device)
+    opened = load_run(folder.path, plugins=toys, device=device)
     assert opened.iteration == iteration
     assert resumed(folder.path, toys, device).finished
     results = folder.results()
@@ -108,7 +106,7 @@ def test_a_resumed_run_writes_the_same_metrics(
 
     run(toys, device, tmp_path / "whole")
     options = RunOptions(device=device, progress=False, callback=lambda done: done.number < 17)
-    start(pipeline(toys), options, tmp_path / "parts")
+    start_run(pipeline(toys), options, tmp_path / "parts")
     assert resumed(tmp_path / "parts", toys, device).finished
     assert lines(tmp_path / "parts") == lines(tmp_path / "whole")
 
@@ -140,7 +138,7 @@ def test_a_failure_leaves_the_last_checkpoint(
             "training.checkpoint_every=8",
         )
     assert "iteration 21" in caught.value.where
-    assert open_run(out, plugins=toys, device=device).iteration == 16
+    assert load_run(out, plugins=toys, device=device).iteration == 16
 
 
 def test_changed_inputs_are_refused_unless_accepted(
@@ -157,19 +155,19 @@ def test_changed_inputs_are_refused_unless_accepted(
     monkeypatch.setattr(ToyScene, "load", darker)
     quiet = RunOptions(device=device, progress=False)
     with pytest.raises(RunError, match="changed: the photograph of view0\n") as caught:
-        resume(folder.path, quiet, toys)
+        continue_run(folder.path, quiet, toys)
     assert "--accept-changed-inputs" in caught.value.fix
     assert folder.results()["changed_inputs"] == []
-    again = resume(folder.path, replace(quiet, accept_changed_inputs=True), toys)
+    again = continue_run(folder.path, replace(quiet, accept_changed_inputs=True), toys)
     assert again.finished
     assert folder.results()["changed_inputs"] == ["the photograph of view0"]
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+    assert load_run(folder.path, plugins=toys, device=device).finished
 
 
 def test_a_run_without_digests_can_be_opened(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run")
     (folder.path / "inputs.json").unlink()
-    assert open_run(folder.path, plugins=toys, device=device).changed == ()
+    assert load_run(folder.path, plugins=toys, device=device).finished
 
 
 EDITS = {
@@ -188,7 +186,7 @@ def test_an_edited_pipeline_is_refused_with_its_line(
     text = folder.pipeline.read_text()
     assert line in text
     folder.pipeline.write_text(f"# a comment means nothing\n{text}")
-    assert open_run(folder.path, plugins=toys, device=device).finished
+    assert load_run(folder.path, plugins=toys, device=device).finished
     folder.pipeline.write_text(text.replace(line, edit))
     with pytest.raises(RunError, match="edited after training began") as caught:
         resumed(folder.path, toys, device)

@@ -11,11 +11,9 @@ from typing import Any
 import pytest
 
 from registry import RunError
-from registry.runs.folder import RunFolder
+from registry.runs.folder import RunFolder, in_runs
 from registry.runs.progress import MetricsLog
-from registry.runs.training_run import in_runs
-from registry.system.files import new_folder, replacing, write_text
-from registry.training.trainer import Iteration
+from stereogs import Iteration
 
 
 def names(folder: Path) -> list[str]:
@@ -77,32 +75,6 @@ def test_default_folders_are_numbered(tmp_path: Path, monkeypatch: pytest.Monkey
     assert chosen("c d", "e") == Path("runs/c-d-e")
     assert chosen("../ü/..", "../ü").parent == Path("runs")
     assert chosen("///", "///") == Path("runs/run")
-
-
-def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    write_text(path, "old")
-
-    def fail() -> None:
-        with replacing(path) as temporary:
-            temporary.write_text("half")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert path.read_text() == "old"
-    assert names(tmp_path) == ["a.txt"]
-
-
-def test_a_folder_that_cannot_be_filled_is_removed(tmp_path: Path) -> None:
-    def fail() -> None:
-        with new_folder(tmp_path / "x") as folder:
-            (folder / "file").write_text("half")
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert names(tmp_path) == []
 
 
 def ended_process() -> int:

@@ -13,16 +13,15 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, load_ply
 from registry import Fact, PluginError, RunError, SceneError
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import load_pipeline, parse_pipeline
 from registry.runs.folder import METRICS, RunFolder
-from registry.runs.opening import open_run
+from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
 from registry.runs.origin import checkout
 from registry.runs.results import RENDERS
 from registry.runs.run import Run
-from registry.runs.training_run import start
-from registry.training.trainer import Iteration
+from registry.runs.training_run import start_run
+from stereogs import Iteration
+from tests.host import Plugins, load_pipeline, parse_pipeline
 from tests.registry.runs.toy_run import pipeline, resumed, run
 from tests.registry.toy_plugin import ToyPoints, ToyPsnr, ToyScene
 
@@ -194,7 +193,7 @@ def test_opening_a_run_loads_the_scene_with_its_settings(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     folder, _, _ = run(toys, device, tmp_path / "run", "scene.test_views=0")
-    opened = open_run(folder.path, plugins=toys, device=device)
+    opened = load_run(folder.path, plugins=toys, device=device)
     assert opened.scene.test == ()
     assert opened.model.digest() == folder.results()["hash"]
 
@@ -205,7 +204,7 @@ def test_the_demo_pipeline_trains_with_the_installed_plugins(
     monkeypatch.delenv("STEREOGS_PLUGINS", raising=False)
     small = ["scene.width=64", "scene.height=48", "training.iterations=320"]
     chosen = load_pipeline(Path("demo"), Plugins(), overrides=small)
-    done = start(chosen, RunOptions(device=device, progress=False), tmp_path / "run")
+    done = start_run(chosen, RunOptions(device=device, progress=False), tmp_path / "run")
     assert done.finished
     folder = done.folder_or_refuse()
     results = folder.results()
@@ -229,14 +228,14 @@ def test_a_folder_that_disappears_stops_the_run_which_is_kept(
     text = pipeline(toys, "training.checkpoint_every=5")
     options = RunOptions(device=device, progress=False, callback=disappear)
     with pytest.raises(RunError, match="moved or removed during training") as caught:
-        start(text, options, out)
+        start_run(text, options, out)
     kept = tmp_path / "run-kept-1"
     assert str(kept) in caught.value.what
     assert caught.value.fix == f"stereogs resume {kept}"
     assert not out.exists()
     again = resumed(kept, toys, device)
     assert again.finished
-    whole = start(text, RunOptions(device=device, progress=False))
+    whole = start_run(text, RunOptions(device=device, progress=False))
     assert again.hash == whole.hash
     lines = (kept / METRICS).read_text().splitlines()
     numbers = [json.loads(line)["iteration"] for line in lines]
@@ -264,7 +263,7 @@ def test_a_folder_that_disappears_while_views_are_scored_is_kept(
     with monkeypatch.context() as patch:
         patch.setattr(Run, "evaluate", disappear)
         with pytest.raises(RunError, match="moved or removed") as caught:
-            start(pipeline(toys), RunOptions(device=device, progress=False), out)
+            start_run(pipeline(toys), RunOptions(device=device, progress=False), out)
     kept = tmp_path / "run-kept-1"
     assert caught.value.fix == f"stereogs resume {kept}"
     assert resumed(kept, toys, device).folder_or_refuse().results()["hash"]
@@ -278,7 +277,7 @@ def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(
         device=device, progress=False, on_begin=lambda _: (out / RENDERS).write_text("in the way")
     )
     with pytest.raises(RunError, match="cannot be written") as caught:
-        start(pipeline(toys), options, out)
+        start_run(pipeline(toys), options, out)
     assert caught.value.where == str(out)
     assert f"`stereogs resume {out}`" in caught.value.fix
     (out / RENDERS).unlink()
@@ -291,5 +290,5 @@ def test_errors_of_a_callback_are_its_own(toys: Plugins, device: Device, tmp_pat
 
     options = RunOptions(device=device, progress=False, callback=report)
     with pytest.raises(ConnectionRefusedError):
-        start(pipeline(toys), options, tmp_path / "run")
+        start_run(pipeline(toys), options, tmp_path / "run")
     assert resumed(tmp_path / "run", toys, device).finished

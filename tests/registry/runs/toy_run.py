@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 
 from core_rasterizer import Device
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
 from registry.runs.folder import RunFolder
 from registry.runs.options import RunOptions
 from registry.runs.run import Run
-from registry.runs.training_run import resume, start
+from registry.runs.training_run import continue_run, start_run
+from stereogs import Pipeline
+from tests.host import Plugins, parse_pipeline
 
 TEXT = """\
 name: toy
@@ -41,10 +41,10 @@ def run(
     """Train; return the folder, whether the run is finished, and the output."""
     stream = io.StringIO()
     options = RunOptions(device=device, progress=Console(file=stream))
-    done = start(pipeline(plugins, *overrides), options, out)
+    done = start_run(pipeline(plugins, *overrides), options, out)
     return done.folder_or_refuse(), done.finished, stream.getvalue()
 
 
 def resumed(path: Path, plugins: Plugins, device: Device) -> Run:
     """Resume the run from its newest checkpoint."""
-    return resume(path, RunOptions(device=device, progress=False), plugins)
+    return continue_run(path, RunOptions(device=device, progress=False), plugins)

@@ -1,0 +1,1 @@
+"""Tests of `registry.system`, which import its modules."""

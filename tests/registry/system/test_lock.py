@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from registry import RunError
-from registry.runs.folder import RunFolder
 from registry.system.lock import locked
+from tests.host import RunFolder
 
 HOLD = """
 import sys, time

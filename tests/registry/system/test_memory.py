@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import mmap
 import subprocess
 import sys
 
 import torch
 
 from registry.system import memory
-from registry.system.memory import peak_memory_mb
+from registry.system.memory import available_bytes, peak_memory_mb, resident_bytes
 
 BLOCK_MB = 400
 
@@ -25,3 +26,12 @@ def test_it_grows_with_allocations_and_is_not_inherited() -> None:
     code = f"import runpy; print(runpy.run_path({memory.__file__!r})['peak_memory_mb']())"
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(child.stdout) < BLOCK_MB / 4
+
+
+def test_resident_bytes_grow_with_allocated_pages() -> None:
+    # New pages from the system; what libraries allocate may be memory that earlier tests gave back.
+    size, before = 100_000_000, resident_bytes()
+    with mmap.mmap(-1, size) as pages:
+        pages.write(bytes([1]) * size)
+        assert 0.9 * size < resident_bytes() - before < 2.5 * size
+    assert 1e6 < available_bytes() < 1e14

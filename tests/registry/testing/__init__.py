@@ -1,0 +1,1 @@
+"""Tests of `registry.testing`, which import its modules."""

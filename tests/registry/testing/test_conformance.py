@@ -393,7 +393,7 @@ class MetaState(toys.ToyTerm):
         (Upside, {}, "score better"),
         (Silent, {}, "must say why"),
         (Partial, {}, "some renders of a view only"),
-        (Liar, {}, "was not written"),
+        (Liar, {}, "no such file"),
         (Plain, {}, "derives from none"),
         (Negative, {}, "negative"),
         (toys.ToyTerm, {"fault": "shape"}, "expected one floating-point"),

@@ -1,0 +1,1 @@
+"""Tests of `registry.toolkit`, which import its modules."""

@@ -1,0 +1,1 @@
+"""Tests of `registry.training`, which import its modules."""

@@ -14,7 +14,6 @@ import pytest
 import torch
 
 from registry import RunError
-from registry.system.files import write_json
 from registry.training.checkpoint import (
     Checkpoint,
     explain_misfit,
@@ -22,6 +21,7 @@ from registry.training.checkpoint import (
     read_checkpoint,
     save_checkpoint,
 )
+from tests.host import write_json
 
 FIRST, SECOND = "iteration-0000010", "iteration-0000020"
 

@@ -8,15 +8,12 @@ import pytest
 import torch
 
 from core_rasterizer import Device, ExplainedError
-from core_rasterizer.layout import PARAMETERS
 from registry import PluginError, Step
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
 from registry.training.assembly import assemble, restore
 from registry.training.checkpoint import Checkpoint
 from registry.training.trainer import Iteration, Trainer
+from tests.host import PARAMETERS, Parts, Plugins, parse_pipeline
 from tests.registry.toy_extension_points import ToyTwin
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_guided\n"

@@ -10,12 +10,10 @@ from torch import Tensor
 
 import registry as r
 from core_rasterizer import Device, Edit, ExplainedError, MemoryBudgetError
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians, new_model
 from registry.training.trainer import Trainer
+from tests.host import Parts, Plugins, parse_pipeline
 from tests.registry.toy_extension_points import ToyExposure
 from tests.registry.toy_plugin import ToyGrowth
 

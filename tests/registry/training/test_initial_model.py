@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from registry import PointCloud, SceneError
-from registry.pipeline.training_settings import TrainingSettings
+from registry import PointCloud
 from registry.training.initial_model import initial_gaussians, mean_squared_distances
+from tests.host import TrainingSettings
 
 SETTINGS = TrainingSettings(sh_degree=2)
 
@@ -57,28 +57,6 @@ def test_scales_and_opacities_of_the_points_are_used() -> None:
     )
     default = initial_gaussians(cloud(5), SETTINGS)
     torch.testing.assert_close(default.opacity_logits.sigmoid(), torch.full((5,), 0.1))
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), "no points"),
-        (PointCloud(torch.full((1, 3), math.nan), torch.zeros(1, 3)), r"positions\[0\]"),
-        (PointCloud(torch.zeros(2, 3), torch.zeros(1, 3)), "colors has the shape"),
-        (PointCloud(torch.zeros(2, 2), torch.zeros(2, 3)), "positions has the shape"),
-        (
-            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), scales=torch.tensor([1.0, 0.0])),
-            r"scales\[1\]",
-        ),
-        (
-            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), opacities=torch.tensor([1.0, 0.5])),
-            r"opacities\[0\]",
-        ),
-    ],
-)
-def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        initial_gaussians(points, SETTINGS)
 
 
 def test_initial_scale_multiplies_the_size() -> None:

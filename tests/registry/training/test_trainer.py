@@ -8,13 +8,10 @@ import torch
 
 from core_rasterizer import Device, ExplainedError, GaussianError, GaussianModel
 from registry import PluginError, RunError, Step
-from registry.calls.read_only_guard import checked_plugins
-from registry.discovery import Plugins
-from registry.pipeline.parts import Parts
-from registry.pipeline.pipeline import parse_pipeline
 from registry.testing import tiny_scene
 from registry.training.initial_model import initial_gaussians
 from registry.training.trainer import Iteration, Trainer
+from tests.host import Parts, Plugins, checked_plugins, parse_pipeline
 from tests.registry.toy_plugin import ToyTerm
 
 BASE = "name: t\nscene: toy_scene\ninitializer: toy_points\n"

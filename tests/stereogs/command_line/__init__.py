@@ -1,0 +1,1 @@
+"""Tests of `stereogs.command_line`, which import its modules."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main, parse
 from stereogs.command_line.installed import verbs
+from tests.host import main, parse_command
 
 Capture = pytest.CaptureFixture[str]
 
@@ -89,7 +89,7 @@ def test_interrupted_before_training(
 @pytest.mark.parametrize("verb", list(verbs()))
 def test_the_help_of_every_verb_has_examples(verb: str, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
-        parse([verb, "--help"])
+        parse_command([verb, "--help"])
     assert caught.value.code == 0
     text = capsys.readouterr().out
     assert f"stereogs {verb}" in text.split("examples:")[1]

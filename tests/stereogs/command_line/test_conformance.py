@@ -8,7 +8,7 @@ import pytest
 
 from stereogs.api import Command
 from stereogs.testing import check_command
-from stereogs.verbs.completion import Completion
+from tests.host import Completion
 
 
 class Good(Command):

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main, parse
 from stereogs.command_line import installed as commands
 from stereogs.command_line.installed import COMMANDS, verbs
+from tests.host import main, parse_command
 
 EXAMPLES = {
     "train": ["train", "3dgs"],
@@ -42,7 +42,7 @@ Answer = Callable[..., EntryPoints]
 
 def test_every_verb_parses_its_arguments() -> None:
     for verb in verbs():
-        parsed = parse(EXAMPLES.get(verb, [verb]))
+        parsed = parse_command(EXAMPLES.get(verb, [verb]))
         assert callable(parsed.command.run)
 
 

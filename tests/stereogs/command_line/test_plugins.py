@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main
+from tests.host import main
 from tests.registry.conftest import Install
 
 Capture = pytest.CaptureFixture[str]

@@ -9,9 +9,8 @@ import pytest
 from torch import Tensor
 
 from registry import Step
-from registry.discovery import SELECTION
-from stereogs.cli import main
 from stereogs.command_line.output import print_failures
+from tests.host import SELECTION, main
 from tests.registry.conftest import TOY_ENTRIES
 
 Capture = pytest.CaptureFixture[str]

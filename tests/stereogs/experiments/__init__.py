@@ -1,0 +1,1 @@
+"""Tests of `stereogs.experiments`, which import its modules."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from registry.discovery import Plugins
 from stereogs.experiments.planning.description import read_description, with_arguments
 from stereogs.experiments.planning.making import make_plan
 from stereogs.experiments.planning.plan import Plan
+from tests.host import Plugins
 
 PIPELINE = """\
 name: toy

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import ExplainedError
-from registry.discovery import SELECTION, Plugins
-from registry.errors import PipelineError
 from stereogs.experiments.planning.description import read_description
 from stereogs.experiments.planning.making import make_plan
+from tests.host import SELECTION, PipelineError, Plugins
 from tests.stereogs.experiments.ablating import plan, write
 
 PIPELINES = Path(__file__).parents[3] / "pipelines"

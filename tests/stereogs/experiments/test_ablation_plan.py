@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import ExplainedError
-from registry.discovery import Plugins
-from registry.errors import PipelineError
-from registry.pipeline.pipeline import parse_pipeline
 from stereogs.experiments.planning.plan import Plan
+from tests.host import PipelineError, Plugins, parse_pipeline
 from tests.registry.toy_plugin import ToyTerm
 from tests.stereogs.experiments.ablating import plan, write
 
@@ -96,7 +94,7 @@ def test_the_baseline_of_the_file_replaces_the_component(toys: Plugins, tmp_path
 def test_default_baselines_are_those_of_3dgs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from registry.discovery import SELECTION
+    from tests.host import SELECTION
 
     chosen = "procedural,random,sfm,opacity_reset,constant_decay"
     monkeypatch.setenv(SELECTION, chosen)

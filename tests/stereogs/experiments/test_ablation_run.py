@@ -19,19 +19,14 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.parts import Part
 from registry.runners import TrainingTask
-from registry.runs.options import RunOptions
-from registry.runs.progress import MetricsLog
-from registry.runs.training_run import start
-from stereogs.cli import main
+from stereogs import RunOptions, open_run
 from stereogs.experiments.planning.plan import PlannedRun
 from stereogs.experiments.running import local_processes
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.running.local_processes import LocalProcesses, training_arguments
-from stereogs.experiments.running.runner import AblationProgress, choose_runner, train_all
-from stereogs.session import open_run
+from stereogs.experiments.running.pool import PoolProgress, choose_runner, train_all
+from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start_run
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
@@ -106,7 +101,7 @@ def test_the_page_shows_photographs_named_by_numbers(
     )
     vary = "training.initial_opacity=0.1,0.2"
     for run in plan(pipeline, Plugins(), vary=(vary,)).runs:
-        train_here(run, AblationFolder(out), device)
+        train_here(run, ExperimentFolder(out), device)
     assert main(["ablate", str(pipeline), "--vary", vary, "--out", str(out)]) == 0
     assert "2 finished" in capsys.readouterr().out
     page = Page((out / "index.html").read_text("utf-8"))
@@ -126,7 +121,7 @@ def test_a_failure_is_reported_and_other_results_are_kept(
     pipeline.write_text(TINY)
     vary = "initializer={use: ply, path: missing.ply},sfm"
     _, good = plan(pipeline, Plugins(), vary=(vary,)).runs
-    train_here(good, AblationFolder(out), device)
+    train_here(good, ExperimentFolder(out), device)
     command = ["ablate", str(pipeline), "--vary", vary, "--out", str(out)]
     assert main(command) == 2
     captured = capsys.readouterr()
@@ -142,7 +137,7 @@ def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:
     return plan(write(folder), toys, toggles="second").runs
 
 
-def task_of(run: PlannedRun, folder: AblationFolder) -> TrainingTask:
+def task_of(run: PlannedRun, folder: ExperimentFolder) -> TrainingTask:
     place = folder.run(run).path
     return TrainingTask(run.pipeline.to_yaml(), place, place.with_name("log"))
 
@@ -156,7 +151,7 @@ def local(device: Device, lock: int | None = None) -> Part:
 
 
 def train_here(
-    run: PlannedRun, folder: AblationFolder, device: Device, stop_at: int | None = None
+    run: PlannedRun, folder: ExperimentFolder, device: Device, stop_at: int | None = None
 ) -> None:
     """Train a planned run in this process, interrupted after an iteration if one is given."""
     original: Callable[..., None] = MetricsLog.add
@@ -168,7 +163,7 @@ def train_here(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MetricsLog, "add", add)
-        start(
+        start_run(
             run.pipeline,
             RunOptions(device=device, progress=False),
             folder.run(run).path,
@@ -178,7 +173,7 @@ def train_here(
 def test_an_interrupted_run_resumes_and_a_damaged_one_restarts(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     run = toy_runs(toys, tmp_path)[0]
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run)
@@ -201,7 +196,7 @@ def test_a_run_with_a_length_per_view_is_recognized(
     monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
     pipeline = tmp_path / "tiny.yaml"
     pipeline.write_text(TINY.replace("iterations: 5", "iterations: 2 per view"))
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     run = plan(pipeline, Plugins(), toggles="dropout").runs[0]
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run).path
@@ -216,14 +211,14 @@ def test_ctrl_c_stops_active_runs_and_starts_no_more(
 ) -> None:
     shown: list[int] = []
 
-    def press_once(self: AblationProgress, parts: list[float]) -> None:
+    def press_once(self: PoolProgress, parts: list[float]) -> None:
         shown.append(len(parts))
         if len(shown) == 1:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(AblationProgress, "show", press_once)
+    monkeypatch.setattr(PoolProgress, "show", press_once)
     runs = toy_runs(toys, tmp_path)
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     with folder.locked() as lock:
         with pytest.raises(RunError, match="in use by another process"), folder.locked():
             pass
@@ -246,7 +241,7 @@ def test_trainings_without_results_have_failed_and_do_not_stop_others(
     assert does_nothing
     monkeypatch.setattr(sys, "executable", does_nothing)
     runs = toy_runs(toys, tmp_path)
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     console = Console(file=io.StringIO())
     with folder.locked() as lock:
         outcome = train_all(runs, folder, local(device, lock), device=None, console=console)

@@ -14,15 +14,14 @@ import pytest
 import torch
 from PIL import Image
 
-from registry.discovery import Plugins
-from registry.system.files import write_json
-from registry.toolkit.drawing.pictures import ViewPictures, save_png, side_by_side
+from registry.toolkit.drawing import ViewPictures, save_png, side_by_side
 from registry.toolkit.web_page import Cell
 from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.showing import scores
 from stereogs.experiments.showing.page import as_page, plots
 from stereogs.experiments.showing.table import as_csv, as_text, scene_table
+from tests.host import Plugins, write_json
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 
@@ -131,7 +130,7 @@ def test_infinite_and_unavailable_scores(made: Plan) -> None:
 def test_the_csv_has_a_row_per_run(made: Plan, tmp_path: Path) -> None:
     results = measured(made)
     results[made.runs[2]] = {}
-    found = list(csv.DictReader(io.StringIO(as_csv(made, results, AblationFolder(tmp_path)))))
+    found = list(csv.DictReader(io.StringIO(as_csv(made, results, ExperimentFolder(tmp_path)))))
     assert len(found) == 12
     assert found[0] | {"folder": ""} == {
         "opacity": "0",
@@ -164,7 +163,7 @@ def _color(picture: Image.Image) -> str:
 
 def test_the_page_needs_no_other_file_and_escapes_html(made: Plan, tmp_path: Path) -> None:
     results = measured(made)
-    folder = AblationFolder(tmp_path)
+    folder = ExperimentFolder(tmp_path)
     for run, found in results.items():
         found["views"] = {"test": {"<view>.png": {"psnr": 21.0}}}
         files = ViewPictures.of("<view>.png", tmp_path / "runs" / run.name / "renders")
@@ -206,7 +205,7 @@ def test_plots_sort_numbers_and_join_nothing_else(toys: Plugins, tmp_path: Path)
 
 
 def test_the_page_without_finished_runs(made: Plan, tmp_path: Path) -> None:
-    page = Page(as_page(made, {run: {} for run in made.runs}, AblationFolder(tmp_path)))
+    page = Page(as_page(made, {run: {} for run in made.runs}, ExperimentFolder(tmp_path)))
     assert page.tags.count("table") == 3
     assert page.tags.count("svg") == len(page.images) == 0
 
@@ -214,7 +213,7 @@ def test_the_page_without_finished_runs(made: Plan, tmp_path: Path) -> None:
 def test_results_of_another_pipeline_and_damaged_results_are_ignored(
     made: Plan, tmp_path: Path
 ) -> None:
-    folder = AblationFolder(tmp_path)
+    folder = ExperimentFolder(tmp_path)
     run = made.runs[0]
     path = folder.run(run).path
     path.mkdir(parents=True)
@@ -230,7 +229,7 @@ def test_results_of_another_pipeline_and_damaged_results_are_ignored(
 
 
 def test_a_folder_is_found_by_its_digest(made: Plan, tmp_path: Path) -> None:
-    folder = AblationFolder(tmp_path)
+    folder = ExperimentFolder(tmp_path)
     run = made.runs[0]
     renamed = tmp_path / "runs" / f"my-favourite_{run.digest}"
     renamed.mkdir(parents=True)

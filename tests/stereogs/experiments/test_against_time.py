@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.pipeline.protocols import AppliedProtocol, load_protocol
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.showing.against_time import (
     Reference,
     Sample,
@@ -25,6 +23,7 @@ from stereogs.experiments.showing.against_time import (
 )
 from stereogs.experiments.showing.page import as_page
 from stereogs.experiments.showing.scores import Results
+from tests.host import AppliedProtocol, Plugins, load_protocol
 from tests.html_page import Page
 from tests.stereogs.experiments.test_bench import matrix
 
@@ -41,9 +40,9 @@ def made(toys: Plugins, tmp_path: Path) -> Plan:
 
 
 @pytest.fixture
-def folder(made: Plan, tmp_path: Path) -> AblationFolder:
+def folder(made: Plan, tmp_path: Path) -> ExperimentFolder:
     """Write run folders with scores during training: 2 dB and 1 s per iteration."""
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     for run in made.runs:
         place = folder.run(run).path
         place.mkdir(parents=True)
@@ -82,7 +81,7 @@ def psnr(seed: int, pipeline: str, iteration: int) -> float:
 
 
 def test_a_curve_includes_loading_and_initialization_and_ends_with_the_final_scores(
-    made: Plan, results: Results, folder: AblationFolder
+    made: Plan, results: Results, folder: ExperimentFolder
 ) -> None:
     curves = read_curves(results, folder)
     found = curve(curves, made.combinations[0], "garden", "psnr")
@@ -95,7 +94,7 @@ def test_a_curve_includes_loading_and_initialization_and_ends_with_the_final_sco
 
 
 def test_the_reached_score_is_the_last_one_before_the_time(
-    made: Plan, results: Results, folder: AblationFolder
+    made: Plan, results: Results, folder: ExperimentFolder
 ) -> None:
     curves = read_curves(results, folder)
     first = made.combinations[0]
@@ -117,7 +116,7 @@ def test_the_front_contains_undominated_samples(higher: bool) -> None:
     assert front(samples.values(), higher_is_better=higher) == {samples[n] for n in "abe"}
 
 
-def test_the_page_of_a_bench(made: Plan, results: Results, folder: AblationFolder) -> None:
+def test_the_page_of_a_bench(made: Plan, results: Results, folder: ExperimentFolder) -> None:
     row = Reference("Paper, 43 min on a large card", {"psnr": 19.0})
     text = as_page(made, results, folder, [row])
     page = Page(text)

@@ -10,23 +10,28 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device
-from core_rasterizer.errors import ExplainedError
 from registry import Context, PluginError, Settings
-from registry.discovery import SELECTION, Offer, Plugins
-from registry.errors import PipelineError
-from registry.pipeline.parts import Part
-from registry.pipeline.pipeline import Item, parse_pipeline
-from registry.pipeline.schedule import HostSettings
-from registry.pipeline.yaml_source import Place, parse
 from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.options import RunOptions
-from registry.runs.training_run import start
-from stereogs.cli import main
+from stereogs import ExplainedError, RunOptions
 from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.running.local_processes import LocalProcesses
-from stereogs.experiments.running.runner import RUNNER, choose_runner, train_all
+from stereogs.experiments.running.pool import RUNNER, choose_runner, train_all
+from tests.host import (
+    SELECTION,
+    HostSettings,
+    Item,
+    Offer,
+    Part,
+    PipelineError,
+    Place,
+    Plugins,
+    main,
+    parse_pipeline,
+    parse_yaml,
+    start_run,
+)
 from tests.stereogs.experiments.ablating import PIPELINE, write
 
 MATRIX = """\
@@ -112,7 +117,7 @@ class InThisProcess(Runner[Settings]):
     def places(self) -> int:
         return 3
 
-    def start(self, task: TrainingTask) -> RunningTask:
+    def start_run(self, task: TrainingTask) -> RunningTask:
         self.at_work += 1
         self.most = max(self.most, self.at_work)
         return _Task(task, self)
@@ -137,7 +142,7 @@ class _Task(RunningTask):
         pipeline = parse_pipeline(self._task.pipeline, self._runner.toys)
         if pipeline.training.seed == 1:
             return "seed 1 is not for me"
-        start(
+        start_run(
             pipeline,
             RunOptions(device=self._runner.context.device, progress=False),
             self._task.folder,
@@ -159,7 +164,7 @@ def test_any_runner_trains_a_plan(toys: Plugins, device: Device, tmp_path: Path)
     runner.toys = toys
     item = Item("mine", Settings(), HostSettings(use="mine"), offer, Place("a test"))
     made = plan(toys, tmp_path, MATRIX.replace("iterations: [2, 5]\n", "iterations: [2]\n"))
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     console = Console(file=io.StringIO())
     outcome = train_all(made.runs, folder, Part(item, runner), device=None, console=console)
     assert {run.seed for run in outcome.failures} == {1}
@@ -171,14 +176,14 @@ def test_any_runner_trains_a_plan(toys: Plugins, device: Device, tmp_path: Path)
 
 def test_an_error_of_a_runner_names_it(toys: Plugins, device: Device, tmp_path: Path) -> None:
     class Broken(InThisProcess):
-        def start(self, task: TrainingTask) -> RunningTask:
+        def start_run(self, task: TrainingTask) -> RunningTask:
             raise ZeroDivisionError("nowhere to go")
 
     offer = Offer(RUNNER, "broken", Broken, "broken", "a package", "1")
     item = Item("broken", Settings(), HostSettings(use="broken"), offer, Place("matrix.yaml:5"))
     runner = Part(item, Broken(Settings(), Context("broken", 0, device)))
     made = plan(toys, tmp_path)
-    folder = AblationFolder(tmp_path / "out")
+    folder = ExperimentFolder(tmp_path / "out")
     with pytest.raises(PluginError, match="nowhere to go") as failed:
         train_all(made.runs, folder, runner, device=None, console=Console(file=io.StringIO()))
     assert "the runner 'broken' failed" in failed.value.what
@@ -190,14 +195,14 @@ def test_the_default_runner(device: Device) -> None:
     usual = choose_runner(None, None, plugins, device)
     assert isinstance(usual.component, LocalProcesses)
     written = choose_runner(
-        parse("{use: local, jobs: 3}", "m", has_lines=False), None, plugins, device
+        parse_yaml("{use: local, jobs: 3}", "m", has_lines=False), None, plugins, device
     )
     assert written.component.places == 3
     assert choose_runner(None, 2, plugins, device).component.places == 2
     with pytest.raises(PipelineError, match="the named runner decides"):
-        choose_runner(parse("{use: far_away}", "m", has_lines=False), 2, plugins, device)
+        choose_runner(parse_yaml("{use: far_away}", "m", has_lines=False), 2, plugins, device)
     with pytest.raises(PluginError, match="no plugin offers the runner 'far_away'"):
-        choose_runner(parse("far_away", "m", has_lines=False), None, plugins, device)
+        choose_runner(parse_yaml("far_away", "m", has_lines=False), None, plugins, device)
 
 
 TINY = """\

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from registry.discovery import Plugins
 from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
+from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.showing.page import as_page
 from stereogs.experiments.showing.scores import difference
 from stereogs.experiments.showing.table import ScoreTable, as_text, difference_table
+from tests.host import Plugins
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
 
@@ -69,7 +69,7 @@ def test_a_table_has_the_differences_to_the_first_row(made: Plan, tmp_path: Path
     assert "toy, differences to opacity.factor 0.5" in text
     assert "+2.00 ± 1.30" in text
     assert "95% confidence interval" in text
-    page = Page(as_page(made, results, AblationFolder(tmp_path)))
+    page = Page(as_page(made, results, ExperimentFolder(tmp_path)))
     assert "+2.00 ± 1.30" in page.text
 
 

@@ -1,0 +1,1 @@
+"""Tests of `stereogs.quality`, which import its modules."""

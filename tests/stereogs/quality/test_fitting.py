@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-import registry.runs.run as runs
 import stereogs.quality.rehearsal as rehearsal
 from core_rasterizer import Device
 from registry import Scene
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, parse_pipeline
-from registry.runs.evaluation import evaluate
-from registry.runs.options import InitialState, Plan, RunOptions
-from registry.runs.run import Run
-from registry.runs.training_run import start
-from registry.training.field import Field
-from stereogs.quality.fitting import MIN_ITERATIONS, Budget, WithinSeconds, WithQuality
+from stereogs import Pipeline, Run, RunOptions
+from stereogs.quality.fitting import MIN_ITERATIONS, Budget, Fit, WithinSeconds, WithQuality
 from stereogs.quality.table import (
     LONG,
     QUALITIES,
@@ -31,6 +25,7 @@ from stereogs.quality.table import (
     by_length,
     by_quality,
 )
+from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start_run
 
 TEXT = """\
 name: {name}
@@ -63,7 +58,7 @@ class Machine:
 
         monkeypatch.setattr(Field, "step_optimizer", stepped)
         monkeypatch.setattr(rehearsal, "evaluate", evaluated)
-        monkeypatch.setattr(runs, "evaluate", evaluated)
+        monkeypatch.setattr("registry.runs.trained_scene.evaluate", evaluated)
 
     def budget(self, seconds: float) -> Budget:
         return Budget(seconds, self.now, lambda: self.now)
@@ -73,8 +68,9 @@ def pipeline(toys: Plugins, name: str = SHORT, iterations: int | str = 400) -> P
     return parse_pipeline(TEXT.format(name=name, iterations=iterations), toys)
 
 
-def trained(first: Pipeline, device: Device, out: Path, fit: Plan | None = None) -> Run:
-    return start(first, RunOptions(device=device, progress=False, fit=fit or Plan()), out)
+def trained(first: Pipeline, device: Device, out: Path, fit: Fit | None = None) -> Run:
+    train = start_run if fit is None else fit.train
+    return train(first, RunOptions(device=device, progress=False), out)
 
 
 @pytest.mark.parametrize(("seconds", "slow"), [(8.0, 1.0), (16.0, 2.0)])
@@ -117,7 +113,7 @@ def test_too_few_seconds_train_the_least_and_end_late(
     fit = WithinSeconds(said.append, budget=Machine(monkeypatch).budget(3))
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
     assert (run.iteration, run.finished) == (MIN_ITERATIONS, True)
-    first, *reasons = fit.closing()
+    first, *reasons = fit.closing(run)
     took, _, wanted = first.removeprefix("late      took ").partition(" s instead of ")
     assert wanted == "3 s, because"
     assert float(took) > 3
@@ -144,7 +140,7 @@ def test_training_starts_again_if_the_machine_becomes_slow(
     machine, said = Machine(monkeypatch), list[str]()
 
     class Slowed(WithinSeconds):
-        def fitted(self, initial: InitialState) -> Pipeline:
+        def fitted(self, initial: Prepared) -> Pipeline:
             found = super().fitted(initial)
             machine.slow = 2.0
             return found
@@ -162,13 +158,25 @@ def test_training_starts_again_if_the_machine_becomes_slow(
     assert run.finished
     assert budget.spent == pytest.approx(12, rel=0.15)
     fit.budget = replace(budget, seconds=1)  # so that it reports where the time went
-    assert any("training before it started again took" in line for line in fit.closing())
+    assert any("training before it started again took" in line for line in fit.closing(run))
     lines = (out / "metrics.jsonl").read_text("utf-8").splitlines()
     assert len(lines) == len(run.metrics), "those of the first start are gone"
     again = trained(
         parse_pipeline((out / "pipeline.yaml").read_text("utf-8"), toys), device, tmp_path / "again"
     )
     assert (again.iteration, again.hash) == (run.iteration, run.hash)
+
+
+def test_ctrl_c_ends_a_training_that_would_start_again(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    class Again(Fit):
+        def corrected(self, done: int, total: int) -> Pipeline | None:
+            signal.raise_signal(signal.SIGINT)
+            return pipeline(toys)
+
+    run = trained(pipeline(toys), device, tmp_path / "run", Again(print))
+    assert (run.iteration, run.finished, run.interrupted) == (1, False, True)
 
 
 def chosen(
@@ -197,13 +205,13 @@ def chosen(
         else WithQuality(said, load=load, quality=wanted)
     )
 
-    class Choosing(Plan):
-        def fitted(self, initial: InitialState) -> Pipeline:
+    class Choosing(Fit):
+        def fitted(self, initial: Prepared) -> Pipeline:
             found.append(plan.fitted(initial))
             raise Chosen
 
     with pytest.raises(Chosen):
-        trained(pipeline(toys, name, own), device, Path("nowhere"), Choosing())
+        trained(pipeline(toys, name, own), device, Path("nowhere"), Choosing(said))
     return found[0]
 
 

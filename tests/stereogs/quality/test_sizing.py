@@ -10,10 +10,9 @@ import pytest
 import stereogs.quality.sizing as sizing
 from core_rasterizer import Device
 from registry import RunError, Scene
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, load_pipeline
-from stereogs.quality.fitting import Budget, SizePlan, WithinSeconds
-from stereogs.session import load_scene, train
+from stereogs import Pipeline, load_scene, train
+from stereogs.quality.fitting import Budget, Fit, WithinSeconds
+from tests.host import Plugins, load_pipeline
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 
 WIDTH = 640
@@ -88,7 +87,7 @@ def test_photographs_are_read_again_at_the_chosen_size(
 
 def test_a_given_size_is_kept(pipeline: Pipeline, scene: Scene) -> None:
     said: list[str] = []
-    assert SizePlan(said.append, size=1000).resized(pipeline, scene) is pipeline
+    assert Fit(said.append, size=1000).resized(pipeline, scene) is pipeline
     assert said == ["the photographs have 640 pixels and are not enlarged"]
 
 
@@ -97,4 +96,4 @@ def test_a_protocol_fixes_the_size(scene: Scene) -> None:
         Path("3dgs_fast"), Plugins(), overrides=["protocol=llff-3", "scene.path=here"]
     )
     with pytest.raises(RunError, match="the protocol 'llff-3' fixes the size"):
-        SizePlan(print, size=300).resized(protocol, scene)
+        Fit(print, size=300).resized(protocol, scene)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main
-from stereogs.session import results
+from stereogs import results
+from tests.host import main
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 PIPELINE = """\

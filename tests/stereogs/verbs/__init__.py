@@ -1,0 +1,1 @@
+"""Tests of `stereogs.verbs`, which import its modules."""

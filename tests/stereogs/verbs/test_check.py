@@ -12,10 +12,9 @@ from PIL import Image
 
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
-from registry.discovery import Plugins, recognize
-from registry.runs.scene_facts import points_in_view, summary, typical_depth, warnings
+from registry.runs.scene_facts import points_in_view
 from registry.testing import tiny_scene
-from stereogs.cli import main, parse
+from registry.toolkit.views import summary, warnings
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (
     TEST_COLOR,
@@ -25,6 +24,7 @@ from stereogs.verbs.check.scene_picture import (
     round_step,
     scene_picture,
 )
+from tests.host import Plugins, main, parse_command, recognize, typical_depth
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]
@@ -335,7 +335,7 @@ def test_options_of_photographs_are_settings_of_the_scene() -> None:
     changes = ["scene.train_views=3", "scene.test_every=4", "scene.require_all_photos=true"]
     given = ["--set", changes[0], "--test-every", "4", "--require-all-photos"]
     for verb in ("train", "check"):
-        assert parse([verb, "folder", *given]).set == changes
-        assert parse([verb, "folder"]).set == []
+        assert parse_command([verb, "folder", *given]).set == changes
+        assert parse_command([verb, "folder"]).set == []
     with pytest.raises(ExplainedError, match="'often' is not a whole number, 0 or more"):
-        parse(["train", "folder", "--test-every", "often"])
+        parse_command(["train", "folder", "--test-every", "often"])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main
+from tests.host import main
 
 Capture = pytest.CaptureFixture[str]
 

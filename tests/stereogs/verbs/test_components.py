@@ -7,12 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.layout import row_count
 from registry import HostDefaults, Percent
-from registry.contract.hook_points import PIPELINE_POINTS, STAGES
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.faults import faults, needs
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
@@ -20,10 +15,21 @@ from registry.priors import (
     OpticalFlowPrior,
     StereoPrior,
 )
-from registry.testing.scenes import pipeline_item
-from stereogs import build_pipeline
+from stereogs import Pipeline, build_pipeline
 from stereogs.verbs.components.explain import _size, explained, memory
 from stereogs.verbs.components.summaries import summary
+from tests.host import (
+    PIPELINE_POINTS,
+    SELECTION,
+    STAGES,
+    Plugins,
+    faults,
+    load_pipeline,
+    needs,
+    parse_pipeline,
+    pipeline_item,
+    row_count,
+)
 from tests.registry.toy_plugin import ToyGrowth
 
 ROOT = Path(__file__).parents[3]
@@ -151,7 +157,7 @@ def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
 def test_the_command_says_it_and_fails_at_a_fault(
     shipped: Plugins, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from stereogs.cli import main
+    from tests.host import main
 
     path = str(ROOT / "pipelines" / "demo.yaml")
     assert main(["explain", path, "--disable", "ply"]) == 0

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.device import Description, Trial
-from stereogs.cli import main
+from tests.host import Description, Trial, main
 
 Capture = pytest.CaptureFixture[str]
 GOOD = Trial(None, 0.02, 1e-7, 1e-6, 1e-7)

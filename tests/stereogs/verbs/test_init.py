@@ -7,11 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from registry.contract.hook_points import PIPELINE_POINTS
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.faults import faults
-from registry.pipeline.pipeline import load_pipeline
-from stereogs.cli import main
+from tests.host import PIPELINE_POINTS, SELECTION, Plugins, faults, load_pipeline, main
 from tests.stereogs_plugins.scenes.small_scenes import World, write_nerfstudio
 
 Capture = pytest.CaptureFixture[str]

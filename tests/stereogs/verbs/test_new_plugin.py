@@ -12,14 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins, installed_entries, offered_name
-from registry.errors import PluginError
-from registry.pipeline.pipeline import load_pipeline
-from stereogs.cli import main
-from stereogs.command_line.installed import verbs
+from registry import PluginError
 from stereogs.testing import check, check_command
 from stereogs.verbs.new_plugin.package_files import COMMAND, COMPONENTS, KINDS, new_plugin
 from stereogs.verbs.new_plugin.verb import NewPlugin
+from tests.host import (
+    SELECTION,
+    Plugins,
+    installed_entries,
+    load_pipeline,
+    main,
+    offered_name,
+    verbs,
+)
 from tests.packages import ROOT, importable, install, install_by_pip, run_python
 
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}

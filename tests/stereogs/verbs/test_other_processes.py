@@ -11,13 +11,11 @@ from torch import Tensor
 
 from core_rasterizer import Device
 from registry import PluginError, Regularizer, Settings, Step
-from registry.pipeline.training_settings import TrainingSettings
-from registry.runs.options import RunOptions
 from registry.testing import tiny_scene
-from registry.testing.scenes import pipeline_item, pipeline_of
-from stereogs.command_line.command import TrainRequest
-from stereogs.session import train
+from stereogs import RunOptions, train
+from stereogs.api import TrainRequest
 from stereogs.verbs.other_processes import OtherProcesses, answers_of, refuse_different_answers
+from tests.host import TrainingSettings, pipeline_item, pipeline_of
 
 
 class Hashing(Regularizer[Settings]):

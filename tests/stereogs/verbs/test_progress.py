@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import SELECTION
-from stereogs.cli import main
+from tests.host import SELECTION, main
 
 ROOM = (
     "scene={use: procedural, width: 96, height: 72, test_views: 1}",
@@ -105,7 +104,7 @@ def test_a_pipe_gets_one_line_for_each_stage(tmp_path: Path) -> None:
 def test_ctrl_c_during_the_report_says_how_to_continue(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from stereogs_plugins.reports.html.report import HtmlReport
+    from tests.host import HtmlReport
 
     monkeypatch.chdir(tmp_path)
     words = command()[3:]

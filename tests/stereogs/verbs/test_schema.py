@@ -13,13 +13,8 @@ import pydantic
 import pytest
 
 import registry
-from registry.discovery import GROUP, Offer, Plugins
-from registry.errors import PipelineError
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.settings_check import plain
-from registry.pipeline.yaml_source import parse
-from stereogs.cli import main
-from stereogs.verbs.schema import HEADER, pipeline_schema
+from stereogs.verbs.schema import pipeline_schema
+from tests.host import GROUP, Offer, PipelineError, Plugins, main, parse_pipeline, parse_yaml, plain
 
 ROOT = Path(__file__).parents[3]
 KEPT = ROOT / "pipelines" / "pipeline.schema.json"
@@ -80,32 +75,33 @@ def test_shipped_pipelines_are_bound_to_it_and_fit(
     path: Path, shipped: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = path.read_text("utf-8").splitlines()[0]
-    assert first.startswith(HEADER)
-    assert (path.parent / first.removeprefix(HEADER)).samefile(KEPT)
+    comment, _, schema = first.partition("=")
+    assert comment == "# yaml-language-server: $schema"
+    assert (path.parent / schema).samefile(KEPT)
     for name in ("STEREOGS_DATA", "STEREOGS_MODELS"):
         monkeypatch.setenv(name, "somewhere")
-    assert errors(shipped, plain(parse(path.read_text("utf-8"), path.name))) == ""
+    assert errors(shipped, plain(parse_yaml(path.read_text("utf-8"), path.name))) == ""
 
 
 def test_what_the_host_reads_fits(toys: Plugins) -> None:
     parse_pipeline(GOOD, toys)
-    assert errors(pipeline_schema(toys.all()), plain(parse(GOOD, "good"))) == ""
+    assert errors(pipeline_schema(toys.all()), plain(parse_yaml(GOOD, "good"))) == ""
 
 
 def test_a_pipeline_written_in_full_fits(toys: Plugins) -> None:
     full = parse_pipeline(GOOD, toys).to_yaml()
-    assert errors(pipeline_schema(toys.all()), plain(parse(full, "full"))) == ""
+    assert errors(pipeline_schema(toys.all()), plain(parse_yaml(full, "full"))) == ""
 
 
 @pytest.mark.parametrize(("change", "told"), BAD.items())
 def test_what_the_host_refuses_does_not_fit(change: str, told: str, toys: Plugins) -> None:
     path, _, value = change.partition("=")
-    changed = plain(parse(GOOD, "good"))
+    changed = plain(parse_yaml(GOOD, "good"))
     *parents, last = path.split(".")
     inner = changed
     for key in parents:
         inner = inner.setdefault(key, {})
-    inner[last] = plain(parse(value, "change"))
+    inner[last] = plain(parse_yaml(value, "change"))
     with pytest.raises((PipelineError, registry.PluginError)):
         parse_pipeline(json.dumps(changed), toys)
     assert told in errors(pipeline_schema(toys.all()), changed)
@@ -126,7 +122,7 @@ def test_settings_that_pydantic_cannot_describe_spoil_nothing(toys: Plugins) -> 
     point = next(offer.point for offer in known if offer.point.section == "metrics")
     schema = pipeline_schema([*known, Offer(point, "odd", OddMetric, "odd", "odd", "1")])
     assert "cannot be described" in schema["$defs"]["metrics.odd"]["description"]
-    changed = {**plain(parse(GOOD, "good")), "metrics": ["odd", {"use": "odd", "value": None}]}
+    changed = {**plain(parse_yaml(GOOD, "good")), "metrics": ["odd", {"use": "odd", "value": None}]}
     assert errors(schema, changed) == ""
 
 

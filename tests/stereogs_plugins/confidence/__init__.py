@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.confidence`, which import its modules."""

@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.initializers`, which import its modules."""

@@ -16,11 +16,8 @@ import yaml
 
 from core_rasterizer import open_device
 from registry import PointCloud, Scene
-from registry.discovery import Plugins
-from registry.pipeline.parts import TRAINING_SECTIONS, Parts
-from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
-from registry.training.assembly import assemble
-from registry.training.trainer import Iteration
+from stereogs import Iteration, Pipeline
+from tests.host import TRAINING_SECTIONS, Parts, Plugins, assemble, load_pipeline, parse_pipeline
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 SHORT = sorted(FOLDER.glob("*-short.yaml"))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, load_pipeline
+from stereogs import Pipeline
+from tests.host import Plugins, load_pipeline
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 HUNDREDS_TO_15000 = list(range(600, 15_000, 100))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Item, Pipeline, load_pipeline
+from stereogs import Pipeline
+from tests.host import Item, Plugins, load_pipeline
 
 FOLDER = Path(__file__).parents[3] / "pipelines" / "methods"
 

@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.metrics`, which import its modules."""

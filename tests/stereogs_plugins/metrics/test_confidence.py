@@ -11,11 +11,9 @@ import pytest
 from plyfile import PlyData
 
 import stereogs
-from registry.discovery import SELECTION
-from registry.runs.run import Run
-from stereogs.cli import main
+from stereogs import Run
 from stereogs_plugins.metrics.confidence import PSNRSeen, ViewAngle
-from stereogs_plugins.reports.html.confidence import confidence
+from tests.host import SELECTION, confidence_section, main
 from tests.stereogs_plugins.building import build
 
 NAMES = ("psnr_seen", "psnr_unseen", "seen", "psnr_predicted", "view_angle")
@@ -66,7 +64,7 @@ def test_render_writes_what_the_report_shows(run: Run) -> None:
         assert (written / f"{view.name}-scale.png").is_file()
     assert main(["report", str(folder)]) == 0
     assert "What is guessed" in page.read_text("utf-8")
-    assert confidence(folder, numbers["iteration"] + 1) == "", "it shows another state"
+    assert confidence_section(folder, numbers["iteration"] + 1) == "", "it shows another state"
     (written / "confidence.json").write_text('{"views": 3}', "utf-8")
     assert main(["report", str(folder)]) == 1
 
@@ -85,7 +83,7 @@ def test_a_run_without_test_views_shows_its_training_views(
     views = json.loads(numbers.read_text("utf-8"))["views"]
     assert list(views) == [view.name for view in run.scene.train]
     numbers.write_text('{"estimator": "coverage", "views": {}}', "utf-8")
-    assert confidence(folder, run.iteration) == ""
+    assert confidence_section(folder, run.iteration) == ""
 
 
 def test_export_leaves_out_guesses_and_writes_the_values(run: Run, tmp_path: Path) -> None:
@@ -97,7 +95,7 @@ def test_export_leaves_out_guesses_and_writes_the_values(run: Run, tmp_path: Pat
     some = stereogs.export(run, "ply", tmp_path / "some", min_confidence=middle)[0]
     kept = PlyData.read(some)["vertex"]["confidence"]
     assert kept.tolist() == values[values >= middle].tolist()
-    with pytest.raises(stereogs.ExplainedError, match="no Gaussian would remain"):
+    with pytest.raises(stereogs.ExplainedError, match="all Gaussians would be left out"):
         stereogs.export(run, "ply", tmp_path / "none", min_confidence=1.0)
     (glb,) = stereogs.export(run, "gltf", tmp_path / "gltf", min_confidence=0.0)
     assert b'"_CONFIDENCE"' in glb.read_bytes()

@@ -8,11 +8,11 @@ import torch
 
 from core_rasterizer import GaussianModel, Gaussians
 from registry import OpacityUpdate, Step
-from registry.training.field import OPACITY_MARGIN
 from stereogs_plugins.opacity.gradient_aware_decay import (
     GradientAwareDecay,
     stereogs_register_opacity_policies,
 )
+from tests.host import OPACITY_MARGIN
 from tests.stereogs_plugins.building import build, moment_with, offered, some_gaussians, step_with
 
 

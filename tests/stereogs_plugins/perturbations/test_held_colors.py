@@ -4,10 +4,9 @@ import torch
 
 from core_rasterizer import Adam, Edit, GaussianModel, apply_edit, open_device
 from registry import Step
-from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
-from registry.training.initial_model import initial_gaussians, new_model
 from stereogs_plugins.perturbations.held_colors import HeldColors
+from tests.host import TrainingSettings, initial_gaussians, new_model
 from tests.stereogs_plugins.building import build
 
 SETTINGS = TrainingSettings(iterations=100, sh_degree=1)

@@ -11,12 +11,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.priors_depth import point_errors, reconstructed
 from registry import PluginError, Scene, View
 from registry.priors import DepthMap
 from stereogs_plugins.priors.plane_sweep import PlaneSweep, stereogs_register_priors
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder
+from tests.host import point_errors, reconstructed
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs
 

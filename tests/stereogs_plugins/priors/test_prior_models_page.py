@@ -7,11 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
-from stereogs_plugins.metrics.lpips.known_files import KNOWN
 from stereogs_plugins.priors import onnx_mono, onnx_mvs
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families
+from tests.host import LPIPS_FILES, Plugins, parse_pipeline
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
@@ -46,7 +44,7 @@ def test_there_is_an_example_of_each_prior() -> None:
 
 
 def test_the_networks_of_lpips_are_those_of_the_code() -> None:
-    for files in KNOWN.values():
+    for files in LPIPS_FILES.values():
         for path, sha256 in ((files.network, files.sha256), (files.heads, files.heads_sha256)):
             (line,) = [line for line in TEXT.splitlines() if f"{path.name}`" in line]
             assert line.startswith(f"| `{path.parent.as_posix()}/")

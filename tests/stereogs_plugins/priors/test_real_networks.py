@@ -9,12 +9,11 @@ import pytest
 import torch
 
 import stereogs
-from benchmarks.priors_depth import point_errors, reconstructed
-from benchmarks.priors_stereo import load_pair, score
 from stereogs_plugins.priors.onnx_mvs import OnnxMvs
 from stereogs_plugins.priors.onnx_stereo import OnnxStereo
 from stereogs_plugins.scenes.llff import LLFFScene
 from tests.data import data_folder, models_folder
+from tests.host import load_pair, point_errors, reconstructed, stereo_score
 from tests.stereogs_plugins.building import build
 
 pytestmark = pytest.mark.proof
@@ -25,7 +24,7 @@ def test_hitnet_on_cones() -> None:
     model = models_folder("hitnet_eth3d") / "hitnet_eth3d.onnx"
     pair = load_pair(data_folder("stereo_cones"))
     prior = build(OnnxStereo, model=model, max_disparity=128.0)
-    assert score(prior.disparity(pair.left, pair.right), pair).bad_2 <= 5
+    assert stereo_score(prior.disparity(pair.left, pair.right), pair).bad_2 <= 5
 
 
 def test_itermvs_on_a_view_of_fern() -> None:

@@ -10,10 +10,10 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from benchmarks.priors_stereo import NAMES, load_pair, score
 from registry import PluginError
 from stereogs_plugins.priors.sgm import SgmPrior, stereogs_register_priors
 from tests.data import data_folder
+from tests.host import PAIR_NAMES, load_pair, stereo_score
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs
 
@@ -140,8 +140,8 @@ BAD_2 = {
 
 @pytest.mark.proof
 @pytest.mark.parametrize("cost", COSTS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", PAIR_NAMES)
 def test_real_pairs(name: str, cost: str) -> None:
     pair = load_pair(data_folder(f"stereo_{name}"))
     prior = build(SgmPrior, cost=cost, max_disparity=pair.largest)
-    assert score(prior.disparity(pair.left, pair.right), pair).bad_2 < BAD_2[cost][name]
+    assert stereo_score(prior.disparity(pair.left, pair.right), pair).bad_2 < BAD_2[cost][name]

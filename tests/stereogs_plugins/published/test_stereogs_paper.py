@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from registry.pipeline.protocols import protocol_names
-from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
+from tests.host import Numbers, paper_tables, protocol_names
 
 TABLES = paper_tables("stereogs")
 

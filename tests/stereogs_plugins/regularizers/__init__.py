@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.regularizers`, which import its modules."""

@@ -7,13 +7,11 @@ import pytest
 import torch
 
 from core_rasterizer import GaussianModel, open_device
-from core_rasterizer.layout import PARAMETERS
 from registry import PluginError, Step
-from registry.pipeline.training_settings import TrainingSettings
 from registry.testing import check, step_of, tiny_scene
 from registry.toolkit.views import virtual_views
-from registry.training.initial_model import initial_gaussians, new_model
 from stereogs_plugins.regularizers.pearson_depth import SOLID, PearsonDepth, correlation
+from tests.host import PARAMETERS, TrainingSettings, initial_gaussians, new_model
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.regularizers.monocular import Brightness, DifferentiableBrightness
 

@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.reports`, which import its modules."""

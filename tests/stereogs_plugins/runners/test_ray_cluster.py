@@ -14,13 +14,20 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device, open_device
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.yaml_source import parse
-from stereogs.experiments.planning.matrix import plan_of, read_matrix
-from stereogs.experiments.planning.plan import Plan
-from stereogs.experiments.running.folder import AblationFolder
-from stereogs.experiments.running.runner import AblationProgress, Outcome, choose_runner, train_all
 from stereogs_plugins.runners.ray_cluster import extract
+from tests.host import (
+    SELECTION,
+    ExperimentFolder,
+    MatrixPlan,
+    Outcome,
+    Plugins,
+    PoolProgress,
+    choose_runner,
+    parse_yaml,
+    plan_of,
+    read_matrix,
+    train_all,
+)
 
 SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
 PIPELINE = f"""\
@@ -79,7 +86,7 @@ def workers() -> Iterator[tuple[Any, list[Any]]]:
     cluster.shutdown()
 
 
-def planned(folder: Path, plugins: Plugins) -> Plan:
+def planned(folder: Path, plugins: Plugins) -> MatrixPlan:
     for name, rate in ("a", "0.1"), ("b", "0.2"):
         text = PIPELINE.replace("NAME", name).replace("RATE", rate)
         (folder / f"{name}.yaml").write_text(text)
@@ -88,9 +95,9 @@ def planned(folder: Path, plugins: Plugins) -> Plan:
 
 
 def trained(
-    plan: Plan, folder: AblationFolder, runner: str, device: Device, plugins: Plugins
+    plan: MatrixPlan, folder: ExperimentFolder, runner: str, device: Device, plugins: Plugins
 ) -> Outcome:
-    written = parse(runner, "runner", has_lines=False)
+    written = parse_yaml(runner, "runner", has_lines=False)
     with folder.locked():
         return train_all(
             plan.runs,
@@ -110,20 +117,20 @@ def test_a_worker_killed_in_the_middle_costs_no_result(
     plugins, device = Plugins(), open_device()
     plan = planned(tmp_path, plugins)
     assert len(plan.runs) == 12
-    here, far = AblationFolder(tmp_path / "here"), AblationFolder(tmp_path / "far")
+    here, far = ExperimentFolder(tmp_path / "here"), ExperimentFolder(tmp_path / "far")
     assert trained(plan, here, "{use: local, jobs: 2}", device, plugins).failures == {}
 
     cluster, nodes = workers
     ended: list[tuple[float, str]] = []
-    tell = AblationProgress.ended
+    tell = PoolProgress.ended
 
-    def kill_after_the_third(self: AblationProgress, name: str, failure: str) -> None:
+    def kill_after_the_third(self: PoolProgress, name: str, failure: str) -> None:
         tell(self, name, failure)
         ended.append((time.monotonic(), failure))
         if len(ended) == 3:
             cluster.remove_node(nodes.pop(), allow_graceful=False)
 
-    monkeypatch.setattr(AblationProgress, "ended", kill_after_the_third)
+    monkeypatch.setattr(PoolProgress, "ended", kill_after_the_third)
     runner = f"{{use: ray, address: '{cluster.address}'}}"
     assert trained(plan, far, runner, device, plugins).failures == {}
     assert len(nodes) == 1  # the other was killed

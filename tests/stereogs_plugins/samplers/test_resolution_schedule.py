@@ -7,9 +7,9 @@ import torch
 
 from core_rasterizer import GaussianModel, open_device
 from registry import Sample, Step
-from registry.contract.checks.answers import check_sample
 from registry.testing import check
 from stereogs_plugins.samplers.resolution_schedule import ResolutionSchedule
+from tests.host import check_sample
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 

@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.scenes`, which import its modules."""

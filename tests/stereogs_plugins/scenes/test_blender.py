@@ -88,7 +88,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda f: change(f, "transform_matrix", matrix(_03=float("inf"))),
         "frames.1.transform_matrix",
     ),
-    "short": (lambda f: change(f, "transform_matrix", matrix()[:3]), "frames.1.transform_matrix"),
+    "short": (lambda f: change(f, "transform_matrix", matrix()[:2]), "frames.1.transform_matrix"),
     "text": (lambda f: change(f, "transform_matrix", "identity"), "frames.1.transform_matrix"),
     "scaled": (lambda f: change(f, "transform_matrix", matrix(_00=2.0)), "not a rotation"),
     "rough": (lambda f: change(f, "transform_matrix", matrix(_01=4e-4)), "not orthonormal"),
@@ -138,3 +138,33 @@ def test_lego_is_the_published_scene() -> None:
 def test_a_repeated_number(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="is repeated"):
         load(write_blender(tmp_path, World()), train_ids=(2, 5, 2))
+
+
+def change_cameras(folder: Path, **fields: object) -> Path:
+    path = folder / "transforms_train.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **fields}))
+    return folder
+
+
+def test_further_lens_fields_are_used(tmp_path: Path) -> None:
+    folder = change_cameras(write_blender(tmp_path, World()), cx=20.0, cy=30.0, fl_y=100.0)
+    camera = load(folder).train[0].camera
+    assert (camera.cx, camera.cy, camera.fy) == (20, 30, 100)
+    assert camera.fx == pytest.approx(World().focal)
+
+
+@pytest.mark.parametrize("fields", [{"k1": 0.1}, {"is_fisheye": True}])
+def test_a_distorted_lens_is_refused(fields: dict[str, object], tmp_path: Path) -> None:
+    folder = change_cameras(write_blender(tmp_path, World()), **fields)
+    with pytest.raises(SceneError, match="the lens is distorted") as caught:
+        load(folder)
+    assert "nerfstudio" in caught.value.fix
+
+
+def test_without_test_views_their_file_is_not_needed(tmp_path: Path) -> None:
+    folder = write_blender(tmp_path, World())
+    (folder / "transforms_test.json").unlink()
+    assert len(load(folder, train_ids=None, test_every=0).train) == 9
+    with pytest.raises(SceneError, match=r"transforms_test.json is missing") as caught:
+        load(folder)
+    assert "test_every: 0" in caught.value.fix

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -158,7 +159,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "cut images": (cut("images.bin"), "cannot be read"),
     "cut points": (cut("points3D.bin"), "too short for"),
     "many cameras": (patch("cameras.bin", 0, "<Q", 2**60), "too short for"),
-    "unknown model": (patch("cameras.bin", 12, "<i", 7), "camera model 7 is not one of"),
+    "unknown model": (patch("cameras.bin", 12, "<i", 15), "colmap image_undistorter"),
     "zero width": (patch("cameras.bin", 16, "<Q", 0), "image width is 0"),
     "other shape": (patch("cameras.bin", 16, "<Q", 200), "another shape"),
     "negative focal": (patch("cameras.bin", 32, "<d", -5.0), "focal length fx is -5"),
@@ -174,7 +175,6 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "climbing name": (rename_images("../a/b.png"), "does not stay inside"),
     "absolute name": (rename_images("/etc/host1"), "does not stay inside"),
     "same name": (rename_images("IMG_05.JPG"), "two images are named 'IMG_05.JPG'"),
-    "no photograph": (lambda f: (f / "images" / "IMG_04.png").unlink(), "photograph is missing"),
 }
 
 
@@ -189,6 +189,157 @@ def test_bad_input_is_an_error(
         load(folder)
     assert message in caught.value.what
     assert caught.value.where
+
+
+@pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0", "dense/0/sparse", "."])
+def test_the_model_is_found_where_programs_write_it(place: str, tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    (folder / "sparse").rename(folder / "elsewhere")
+    (folder / place).mkdir(parents=True, exist_ok=True)
+    for file in (folder / "elsewhere" / "0").iterdir():
+        file.rename(folder / place / file.name)
+    if place.startswith("dense"):
+        (folder / "images").rename(folder / "dense" / "0" / "images")
+    assert ColmapScene.recognizes(folder)
+    assert_sees_the_points(load(folder))
+
+
+def test_of_several_models_the_largest_is_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    small = folder / "sparse" / "1"
+    shutil.copytree(folder / "sparse" / "0", small)
+    lines = (small / "images.txt").read_text().splitlines()
+    (small / "images.txt").write_text("\n".join(lines[:8]))
+    (folder / "sparse" / "0").rename(folder / "sparse" / "2")
+    assert len(load(folder, test_every=0).train) == 9
+    assert "sparse/2 (9); the others are not: sparse/1 (2)" in caplog.text
+
+
+def test_the_split_that_the_exporter_writes_is_read(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "sparse" / "0" / "test.txt").write_text("IMG_02.JPG\nIMG_03.JPG\n")
+    scene = load(folder)
+    assert [view.name for view in scene.test] == ["IMG_02", "IMG_03"]
+    assert len(scene.train) == 7
+    assert len(load(folder, test_every=0).train) == 9
+
+
+def rewrite(folder: Path, name: str, change: Callable[[str], str]) -> None:
+    path = folder / "sparse" / "0" / name
+    path.write_bytes(change(path.read_text()).encode())
+
+
+def without_features(text: str) -> str:
+    """Only the lines of the poses, with names of several words."""
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    return "\n".join(line.replace("IMG_", "my holiday ") for line in lines[::2])
+
+
+def test_text_files_without_lines_of_features(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    rewrite(folder, "images.txt", without_features)
+    (folder / "sparse" / "0" / "points3D.txt").unlink()
+    for file in (folder / "images").iterdir():
+        file.rename(file.with_name(file.name.replace("IMG_", "my holiday ")))
+    scene = load(folder, test_every=0)
+    assert len(scene.train) == 9
+    assert_sees_the_points(scene)
+
+
+def test_text_files_of_other_systems(tmp_path: Path) -> None:
+    """A mark of UTF-8, line ends of Windows, sizes as fractions, backslashes, decomposed accents."""
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    rewrite(folder, "cameras.txt", lambda text: "\ufeff" + text.replace(" 64 48 ", " 64.0 48.0 "))
+    name = "caf\u00e9"
+    rewrite(folder, "images.txt", lambda text: text.replace("IMG_03", f"{name}\\IMG_03"))
+    for file in ("cameras.txt", "images.txt", "points3D.txt"):
+        rewrite(folder, file, lambda text: text.replace("\n", "\r\n"))
+    (folder / "images" / name).mkdir()
+    (folder / "images" / "IMG_03.png").rename(folder / "images" / name / "IMG_03.png")
+    rewrite(folder, "images.txt", lambda text: text.replace("IMG_04", "\u00e9_04"))
+    (folder / "images" / "IMG_04.png").rename(folder / "images" / "e\u0301_04.png")
+    scene = load(folder, test_every=0)
+    assert len(scene.train) == 9
+    assert_sees_the_points(scene)
+
+
+def test_fisheye_models_with_fewer_coefficients(tmp_path: Path) -> None:
+    """The radial fisheyes are OPENCV_FISHEYE with coefficients of 0; FOV and THIN_PRISM are COLMAP's own."""
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    focal = World().focal
+    images = []
+    for line in (
+        f"1 OPENCV_FISHEYE 64 48 {focal} {focal} 32 24 0.01 0.002 0 0",
+        f"1 RADIAL_FISHEYE 64 48 {focal} 32 24 0.01 0.002",
+        f"1 THIN_PRISM_FISHEYE 64 48 {focal} {focal} 32 24 0.01 0.002 0 0 0 0 0 0",
+        f"1 FOV 64 48 {focal} {focal} 32 24 0.5",
+    ):
+        (folder / "sparse" / "0" / "cameras.txt").write_text(line)
+        images.append(load(folder).train[0].image)
+    np.testing.assert_array_equal(images[0].numpy(), images[1].numpy())
+    np.testing.assert_allclose(images[0].numpy(), images[2].numpy(), atol=2 / 255)
+    assert images[3].shape != images[0].shape
+
+
+def test_a_missing_photograph_is_named_and_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "images" / "IMG_04.png").unlink()
+    scene = load(folder, test_every=0)
+    assert [view.name for view in scene.train] == [f"IMG_0{k}" for k in range(9) if k != 4]
+    assert scene.points is not None
+    assert "IMG_04.JPG" in caplog.text
+
+
+def test_points_without_tracks_are_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    rewrite(
+        folder,
+        "points3D.txt",
+        lambda text: "\n".join(" ".join(line.split()[:8]) for line in text.splitlines()[3:]),
+    )
+    points = load(folder).points
+    assert points is not None
+    assert len(points) == len(POINTS)
+    assert "do not say which photographs" in caplog.text
+
+
+def test_a_camera_far_from_the_others_is_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_colmap(tmp_path, World())
+    near = load(folder).bounds
+    # The second record: id 2, photograph 7.
+    patch("images.bin", 44, "<d", 5000.0)(folder)
+    scene = load(folder, test_every=0)
+    assert len(scene.train) == 8
+    assert "its camera is" in caplog.text
+    assert scene.bounds == pytest.approx(near, rel=0.2)
+
+
+def test_cameras_at_one_centre_are_refused(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+
+    def at_the_origin(line: str) -> str:
+        fields = line.split()
+        return " ".join([*fields[:5], "1e-17", "0", "-2e-17", *fields[8:]])
+
+    rewrite(
+        folder,
+        "images.txt",
+        lambda text: "\n\n".join(map(at_the_origin, text.splitlines()[4::2])),
+    )
+    with pytest.raises(SceneError, match="the same center"):
+        load(folder, points=False)
+
+
+def test_a_folder_with_smaller_photographs_only(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "images").rename(folder / "images_3")
+    assert load(folder).fact("source") == "images_3"
 
 
 def test_an_implausible_lens(tmp_path: Path) -> None:

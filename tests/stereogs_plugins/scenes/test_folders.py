@@ -11,11 +11,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-import stereogs.session
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import Pipeline, load_pipeline
-from stereogs.cli import main
-from stereogs.quality.table import LONG, QUALITIES, QUICK, SHORT, by_quality
+from stereogs import Pipeline
+from tests.host import main
 from tests.stereogs_plugins.scenes.test_formats import CASES
 
 FORMATS: dict[str, Callable[[Path], Path]] = {
@@ -46,7 +43,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[Pipeline]:
         pipelines.append(pipeline)
         raise Trained
 
-    monkeypatch.setattr(stereogs.session, "train", train)
+    monkeypatch.setattr("stereogs.session.train", train)
     return pipelines
 
 
@@ -105,16 +102,3 @@ def test_a_folder_of_no_known_format(
 def test_an_unknown_pipeline(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "weightfre_fast"]) == 2
     assert "did you mean 'weightfree_fast'" in capsys.readouterr().err
-
-
-def test_the_candidate_pipelines_have_the_same_initial_points() -> None:
-    """The choice is made when the first points are there, which must be those of each."""
-    first, *others = (
-        load_pipeline(Path(name), Plugins(), overrides=["scene=procedural"])
-        for name in (SHORT, QUICK, LONG)
-    )
-    for other in others:
-        for section in ("priors", "initializer"):
-            assert first.items[section] == other.items[section]
-        assert first.training.seed == other.training.seed
-    assert {by_quality(quality).name for quality in QUALITIES} == {QUICK, SHORT, LONG}

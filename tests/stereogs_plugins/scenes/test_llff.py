@@ -357,3 +357,11 @@ def test_bonsai_has_the_split_of_the_whole_capture() -> None:
         assert (camera.fx, camera.fy) == pytest.approx((826.87, 826.60), abs=0.05)
         assert scene.bounds[0] > 0.2  # the file says 0.1 and 500 of every scene
         assert scene.bounds[1] < 100
+
+
+def test_copies_with_another_suffix_are_named(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    Image.new("RGB", (16, 12)).save(folder / "images_2" / "photo_03.bmp")
+    with pytest.raises(SceneError, match="9 poses but 10 images") as caught:
+        load(folder, downsample=2)
+    assert "photo_03.bmp" in caught.value.fix

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,13 +60,150 @@ def test_the_split_of_the_file_takes_precedence(tmp_path: Path) -> None:
     assert [view.name[-1] for view in scene.test] == ["7", "8"]
     assert len(load(folder).train) == 5
     assert len(load(folder, test_every=0).train) == 9
-    with pytest.raises(SceneError, match="`train_views` is 6, but the file lists 5"):
+    with pytest.raises(SceneError, match="6 training views are wanted, but only 5"):
         load(folder, train_views=6)
+    edit(folder, lambda content: content["test_filenames"].append(names[0]))
+    with pytest.raises(SceneError, match=r"images/frame_00000.png' is a training and a test view"):
+        load(folder)
     edit(folder, lambda content: content["test_filenames"].append(names[0]))
     with pytest.raises(SceneError, match=r"lists 'images/frame_00000.png' twice"):
         load(folder)
     edit(folder, lambda content: content["test_filenames"].append("images/other.png"))
+    edit(folder, lambda content: [content["test_filenames"].remove(names[0]) for _ in range(2)])
     with pytest.raises(SceneError, match=r"'images/other.png', which is not a frame"):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    ("lists", "train", "test"),
+    [
+        ({"train": (0, 1, 2), "val": (3, 4)}, "012", "34"),
+        ({"train": (0, 1, 2)}, "012", "345678"),
+        ({"val": (3, 4)}, "0125678", "34"),
+        ({"train": (0, 1), "val": (2,), "test": (3,)}, "01", "3"),
+    ],
+    ids=["train and val", "train", "val", "all"],
+)
+def test_lists_of_the_file_split_its_frames(
+    lists: dict[str, tuple[int, ...]], train: str, test: str, tmp_path: Path
+) -> None:
+    def change(content: dict[str, Any]) -> None:
+        for kind, numbers in lists.items():
+            content[f"{kind}_filenames"] = [f"./images/frame_0000{k}.png" for k in numbers]
+
+    scene = load(edit(write_nerfstudio(tmp_path, World()), change))
+    assert "".join(view.name[-1] for view in scene.train) == train
+    assert "".join(view.name[-1] for view in scene.test) == test
+
+
+def test_a_frame_in_two_lists_is_refused(tmp_path: Path) -> None:
+    names = [f"images/frame_0000{index}.png" for index in range(9)]
+    lists = {"train_filenames": names[:5], "test_filenames": names[4:]}
+    folder = edit(write_nerfstudio(tmp_path, World()), lambda content: content.update(lists))
+    with pytest.raises(SceneError, match=r"frame_00004.png' is a training and a test view"):
+        load(folder)
+
+
+def test_names_as_other_systems_write_them(tmp_path: Path) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+
+    def change(content: dict[str, Any]) -> None:
+        frames = content["frames"]
+        frames[0]["file_path"] = str(folder / frames[0]["file_path"])
+        frames[1]["file_path"] = "./" + frames[1]["file_path"]
+        frames[2]["file_path"] = frames[2]["file_path"].replace("/", "\\")
+        frames[3]["transform_matrix"] = frames[3]["transform_matrix"][:3]
+
+    path = folder / "transforms.json"
+    edit(folder, change)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    scene = load(folder)
+    assert len(scene.train) == 7
+    assert_sees_the_points(scene)
+
+
+def test_a_missing_photograph_is_named_and_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    (folder / "images" / "frame_00003.png").unlink()
+    assert len(load(folder, test_every=0).train) == 8
+    assert "frame_00003.png" in caplog.text
+    for index in range(4, 9):
+        (folder / "images" / f"frame_0000{index}.png").unlink()
+    with pytest.raises(SceneError, match="6 of 9 photographs are missing"):
+        load(folder)
+
+
+def test_the_focal_length_may_be_an_angle(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
+        for fields in (content, *content["frames"]):
+            for name in ("fl_x", "fl_y", "w", "h", "cx", "cy"):
+                fields.pop(name, None)
+        content["camera_angle_x"] = 2 * math.atan(0.5 / 1.4)
+
+    scene = load(edit(write_nerfstudio(tmp_path, World()), change))
+    assert scene.train[0].camera.fx == pytest.approx(World().focal)
+    assert_sees_the_points(scene)
+
+
+@pytest.mark.parametrize(
+    ("fields", "same_as"),
+    [
+        ({"camera_model": "PINHOLE", "k1": 0.3}, {"camera_model": "OPENCV", "k1": 0.3}),
+        ({"camera_model": "SIMPLE_RADIAL", "k1": 0.3}, {"camera_model": "OPENCV", "k1": 0.3}),
+        ({"camera_model": None, "is_fisheye": True}, {"camera_model": "OPENCV_FISHEYE"}),
+    ],
+    ids=["pinhole", "radial", "fisheye"],
+)
+def test_lens_fields_of_other_programs(
+    fields: dict[str, object], same_as: dict[str, object], tmp_path: Path
+) -> None:
+    found = []
+    for number, content in enumerate((fields, same_as)):
+        folder = write_nerfstudio(tmp_path / str(number), World())
+
+        def change(transforms: dict[str, Any], content: dict[str, object] = content) -> None:
+            transforms.update(content)
+
+        found.append(load(edit(folder, change)).train[0])
+    assert found[0].camera.width == found[1].camera.width != 64
+    torch.testing.assert_close(found[0].image, found[1].image, rtol=0, atol=0)
+
+
+MASKS: dict[str, Callable[[Any], Image.Image]] = {
+    "0 and 255": lambda kept: Image.fromarray(np.uint8(kept * 255)),
+    "0 and 1": lambda kept: Image.fromarray(np.uint8(kept)),
+    "labels": lambda kept: Image.fromarray(np.uint8(kept * 7)),
+    "16 bits": lambda kept: Image.fromarray(np.uint16(kept * 65535)),
+    "alpha": lambda kept: Image.fromarray(
+        np.uint8(np.stack([kept * 0 + 9] * 3 + [kept * 255], axis=2))
+    ),
+    "colours": lambda kept: Image.fromarray(
+        np.uint8(np.stack([kept * 0, kept * 200, kept * 0], axis=2))
+    ),
+    "palette": lambda kept: Image.fromarray(np.uint8(kept * 255)).convert("P"),
+}
+
+
+@pytest.mark.parametrize("kind", [*MASKS, "jpeg"])
+def test_masks_of_every_kind_count_the_same_pixels(kind: str, tmp_path: Path) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    kept = np.zeros((48, 64))
+    kept[16:40, 8:48] = 1
+    name = "mask.jpg" if kind == "jpeg" else "mask.png"
+    MASKS.get(kind, MASKS["0 and 255"])(kept).save(folder / name)
+    edit(folder, lambda c: [frame.update(mask_path=name) for frame in c["frames"]])
+    mask = load(folder).train[0].mask
+    assert mask is not None
+    np.testing.assert_array_equal(mask.numpy(), kept == 1)
+
+
+def test_a_mask_of_another_shape_is_refused(tmp_path: Path) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    Image.fromarray(np.full((64, 48), 255, np.uint8)).save(folder / "mask.png")
+    edit(folder, lambda c: [frame.update(mask_path="mask.png") for frame in c["frames"]])
+    with pytest.raises(SceneError, match="the mask is 48x64, its photograph 64x48"):
         load(folder)
 
 
@@ -144,7 +282,7 @@ def first_frame(**fields: Any) -> Callable[[dict[str, Any]], object]:
 
 DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no frames": (lambda c: c.update(frames=[]), "no frame"),
-    "no focal length": (lambda c: (c.pop("fl_x"), c["frames"][0].pop("fl_x")), "'fl_x' is missing"),
+    "no focal length": (lambda c: (c.pop("fl_x"), c["frames"][0].pop("fl_x")), "neither 'fl_x'"),
     "text for a number": (lambda c: c.update(w="64"), "'w' cannot be used"),
     "nan": (lambda c: c.update(cx=float("nan")), "'cx' cannot be used"),
     "negative": (first_frame(fl_y=-3.0), "focal length fy is -3"),

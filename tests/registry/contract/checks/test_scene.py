@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import torch
 
 from core_rasterizer import Camera
 from registry import Fact, PointCloud, Scene, SceneError, View, validate
+from registry.contract.checks.scene import check_initialization
 from registry.testing import tiny_scene
 
 
@@ -134,3 +136,25 @@ def test_a_rotation_in_place_is_another_pose() -> None:
     turned = pose @ first.world_to_camera
     camera = Camera(turned, first.fx, first.fy, first.cx, first.cy, first.width, first.height)
     validate(with_view(camera=camera))
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)), "no points"),
+        (PointCloud(torch.full((1, 3), math.nan), torch.zeros(1, 3)), r"positions\[0\]"),
+        (PointCloud(torch.zeros(2, 3), torch.zeros(1, 3)), "colors has the shape"),
+        (PointCloud(torch.zeros(2, 2), torch.zeros(2, 3)), "positions has the shape"),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), scales=torch.tensor([1.0, 0.0])),
+            r"scales\[1\]",
+        ),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), opacities=torch.tensor([1.0, 0.5])),
+            r"opacities\[0\]",
+        ),
+    ],
+)
+def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        check_initialization(points, tiny_scene().for_training(), {})

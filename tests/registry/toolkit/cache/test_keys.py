@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry.discovery import GROUP
 from registry.toolkit.cache import content_key, source_digest
 from registry.toolkit.cache.keys import module_digest, package_digest
+from tests.host import GROUP
 
 
 def test_keys_depend_on_types_shapes_and_order() -> None:

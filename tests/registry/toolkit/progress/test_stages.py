@@ -6,11 +6,11 @@ import random
 import pytest
 from rich.console import Console
 
-from registry.runs.progress import TrainingProgress
 from registry.toolkit.progress import stages as module
 from registry.toolkit.progress.display import showing
 from registry.toolkit.progress.parallel import in_parallel
 from registry.toolkit.progress.stages import Stage, Stages, tracked
+from tests.host import TrainingProgress
 
 
 class Clock:

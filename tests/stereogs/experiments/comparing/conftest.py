@@ -9,12 +9,9 @@ from typing import Any
 
 import pytest
 
-from registry.pipeline.protocols import AppliedProtocol, load_protocol
-from registry.pipeline.yaml_source import to_yaml
-from registry.runs.folder import RunFolder
-from registry.system.files import write_json
 from stereogs.experiments.comparing.comparability import check_comparable
 from stereogs.experiments.comparing.comparison import FinishedRun, read_run
+from tests.host import AppliedProtocol, RunFolder, load_protocol, to_yaml, write_json
 
 Capture = pytest.CaptureFixture[str]
 Make = Callable[..., Path]

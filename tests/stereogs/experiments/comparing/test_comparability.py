@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from registry import RunError
-from registry.pipeline.protocols import AppliedProtocol, load_protocol
-from stereogs.cli import main
 from stereogs.experiments.comparing.comparability import check_comparable
 from stereogs.experiments.comparing.comparison import read_run
+from tests.host import AppliedProtocol, load_protocol, main
 from tests.stereogs.experiments.comparing.conftest import Capture, Make, runs
 
 

@@ -7,12 +7,9 @@ from typing import Any
 
 import pytest
 
-from registry.discovery import SELECTION, Plugins
-from registry.pipeline.pipeline import load_pipeline
-from registry.pipeline.settings_check import plain
-from registry.pipeline.yaml_source import parse
 from stereogs.experiments.comparing.comparison import FinishedRun
 from stereogs.experiments.comparing.labels import labels
+from tests.host import SELECTION, Plugins, load_pipeline, parse_yaml, plain
 from tests.stereogs.experiments.comparing.conftest import Make, runs
 
 
@@ -26,7 +23,7 @@ def trained(*changes: str, disable: tuple[str, ...] = (), iterations: int = 0) -
     pipeline = load_pipeline(Path("demo"), Plugins(), overrides=changes, disabled=disable)
     if iterations:
         pipeline = pipeline.scaled(iterations)
-    tree: dict[str, Any] = plain(parse(pipeline.to_yaml(), "pipeline.yaml"))
+    tree: dict[str, Any] = plain(parse_yaml(pipeline.to_yaml(), "pipeline.yaml"))
     return FinishedRun(Path("run"), {"pipeline": "demo"}, tree, "")
 
 

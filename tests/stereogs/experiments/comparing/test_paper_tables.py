@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from stereogs.cli import main
 from stereogs.experiments.comparing.paper_tables import GROUP
+from tests.host import main
 from tests.stereogs.experiments.comparing.conftest import Capture, Make
 
 

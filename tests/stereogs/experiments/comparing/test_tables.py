@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry.toolkit.drawing.pictures import ViewPictures, save_png, side_by_side
-from stereogs.cli import main, parse
+from registry.toolkit.drawing import ViewPictures, save_png, side_by_side
 from stereogs.experiments.comparing.comparability import comparable_groups
 from stereogs.experiments.comparing.comparison import read_run
+from tests.host import main, parse_command
 from tests.html_page import Page
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs.experiments.comparing.conftest import Capture, Make
@@ -119,7 +119,7 @@ def test_nothing_to_compare(capsys: Capture) -> None:
 
 def test_help_has_examples(capsys: Capture) -> None:
     with pytest.raises(SystemExit) as caught:
-        parse(["compare", "--help"])
+        parse_command(["compare", "--help"])
     assert caught.value.code == 0
     assert "stereogs compare" in capsys.readouterr().out.split("examples:")[1]
 

@@ -11,12 +11,10 @@ from PIL import Image
 
 import stereogs
 from registry import RunError, SceneError
-from registry.discovery import SELECTION
-from registry.runs.run import Run
-from stereogs.cli import main
+from stereogs import Run
 from stereogs.verbs.next_views import next_views
 from stereogs.verbs.next_views.given import other_pictures, read_poses
-from stereogs_plugins.reports.html.run_files import suggested_cameras
+from tests.host import SELECTION, main, suggested_cameras
 
 PIPELINE = """\
 name: tiny

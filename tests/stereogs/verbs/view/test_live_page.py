@@ -15,14 +15,11 @@ pytest.importorskip("viser")
 from websockets.exceptions import ConnectionClosed
 
 import stereogs
-from registry.pipeline.pipeline import Pipeline
-from registry.runs.options import Plan, RunOptions
-from registry.runs.run import Run
-from registry.training.trainer import Iteration
-from stereogs.cli import main
-from stereogs.command_line.command import TrainRequest
+from stereogs import Iteration, Pipeline, Run, RunOptions
+from stereogs.api import TrainRequest
 from stereogs.verbs.view.live_page import LivePage
 from stereogs.verbs.view.option import LiveView
+from tests.host import Fit, main
 from tests.registry.conftest import TOY_ENTRIES, Install
 from tests.stereogs.verbs.view.browser import WINDOW, Received, move, visit
 
@@ -132,18 +129,18 @@ def test_view_follows_a_training_that_starts_again_and_calls_other_callbacks(
         shown.append(page.run)
         update(page, done)
 
-    class Again(Plan):
-        def corrected(self, run: Run) -> Pipeline | None:
-            return run.pipeline if len(begun) == 1 else None
+    class Again(Fit):
+        def corrected(self, done: int, total: int) -> Pipeline | None:
+            return begun[0].pipeline if len(begun) == 1 else None
 
     monkeypatch.setattr(LivePage, "update", updated)
     monkeypatch.setattr(LivePage, "serve_finished_run", lambda page: None)
     request = TrainRequest(Namespace(view=True), 0.0)
     options = RunOptions(
-        progress=False, fit=Again(), on_begin=begun.append, callback=lambda done: done.number < 2
+        progress=False, on_begin=begun.append, callback=lambda done: done.number < 2
     )
     with LiveView().running(request, options) as watched:
-        run = stereogs.train(PIPELINE, watched)
+        run = stereogs.train(PIPELINE, watched, fit=Again(print))
     assert run.iteration == 2
     assert shown == [begun[0], run, run]
     assert capsys.readouterr().out.count("during training") == 1

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.cli import main
+from tests.host import main
 
 
 def test_a_missing_package_is_reported_before_loading(

@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.priors_stereo import load_pair
 from registry import PluginError
 from registry.priors import Disparity
 from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.priors.onnx_stereo import OnnxStereo, stereogs_register_priors
 from tests.data import data_folder
+from tests.host import load_pair
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs
 

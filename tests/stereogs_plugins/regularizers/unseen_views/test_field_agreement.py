@@ -8,7 +8,6 @@ import torch
 from core_rasterizer import photometric_loss
 from registry import PluginError, Step
 from registry.testing import check
-from registry.testing.bench import Bench
 from registry.toolkit.views import virtual_views
 from stereogs_plugins.regularizers.unseen_views import (
     CycleFilteredWarping,
@@ -17,6 +16,7 @@ from stereogs_plugins.regularizers.unseen_views import (
     ForwardWarping,
     stereogs_register_regularizers,
 )
+from tests.host import Bench
 from tests.stereogs_plugins.building import build, offered
 
 

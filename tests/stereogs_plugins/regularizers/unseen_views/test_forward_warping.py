@@ -9,10 +9,10 @@ from core_rasterizer import Rendering, open_device, photometric_loss
 from registry import PluginError
 from registry.priors import DepthMap
 from registry.testing import check
-from registry.testing.bench import Bench
 from registry.toolkit.views import virtual_views
 from stereogs_plugins.regularizers.unseen_views import ForwardWarping
 from stereogs_plugins.regularizers.unseen_views.forward_warping import forward_splat
+from tests.host import Bench
 from tests.stereogs_plugins.building import build
 
 

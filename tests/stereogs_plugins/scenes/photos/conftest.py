@@ -1,17 +1,22 @@
-"""A room photographed from five places, as a folder of files."""
+"""A room photographed from five places: as a folder of files, and as COLMAP sees it."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from registry import Scene
-from registry.toolkit.drawing.pictures import to_bytes
+from registry.toolkit.drawing import to_bytes
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_name, read_model
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.scenes.photos.photographs import COUNT, SIDEWAYS, load
+
+if TYPE_CHECKING:
+    from stereogs_plugins.scenes.photos.photogrammetry.colmap import Model
 
 ORIENTATION = 0x0112
 
@@ -49,6 +54,24 @@ def cache(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def cached(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def entry(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The cameras of `folder` in a cache that loads use."""
     monkeypatch.setenv("STEREOGS_CACHE", str(cache))
-    return cache
+    (entry,) = cache.glob("cameras/*")
+    return entry
+
+
+@pytest.fixture
+def model(entry: Path) -> Model:
+    """The cameras of `folder`."""
+    return read_model(entry / "piece_0")
+
+
+@pytest.fixture(scope="package")
+def images(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The photographs of `folder`, upright and named by index."""
+    images = tmp_path_factory.mktemp("images")
+    for index, file in enumerate(sorted(folder.iterdir())):
+        with Image.open(file) as opened:
+            ImageOps.exif_transpose(opened).save(images / image_name(index))
+    return images

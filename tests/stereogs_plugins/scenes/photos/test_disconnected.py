@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,30 +13,40 @@ from PIL import Image
 from registry import SceneError
 from registry.toolkit.photos import ColmapModel
 from stereogs_plugins.scenes.photos import disconnected
-from stereogs_plugins.scenes.photos.disconnected import largest_group
+from stereogs_plugins.scenes.photos.disconnected import LargestGroup, largest_group
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
-from stereogs_plugins.scenes.photos.mapping import Piece
-from stereogs_plugins.scenes.photos.no_depth import Doubt
+from stereogs_plugins.scenes.photos.photogrammetry.mapping import Piece
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
+from stereogs_plugins.scenes.photos.photogrammetry.two_view import Doubt
 from stereogs_plugins.scenes.photos.picture_files import reason_lines
-from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
 from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load
 
 NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
 
 
+MODEL = ColmapModel({}, [], [], Path())
+
+
+def group_of(
+    pieces: list[list[int]],
+    matches: dict[tuple[int, int], int] = MATCHES,
+    features: Sequence[int] = (900,) * len(NAMES),
+    doubts: dict[tuple[int, int], Doubt] | None = None,
+    names: Sequence[str] = NAMES,
+    *,
+    require_all: bool = False,
+) -> LargestGroup:
+    """The largest group of photographs with these pieces."""
+    models = [Piece(Path(), piece) for piece in pieces]
+    found = Reconstruction(models, matches, list(features), doubts=doubts or {})
+    cameras = FoundCameras(found, MODEL if pieces else None)
+    return largest_group(cameras, names, "folder", require_all=require_all)
+
+
 class TestExplanation:
-    def explain(
-        self,
-        pieces: list[list[int]],
-        features: tuple[int, ...] = (900,) * len(NAMES),
-        matches: dict[tuple[int, int], int] = MATCHES,
-        doubts: dict[tuple[int, int], Doubt] | None = None,
-    ) -> SceneError:
-        models = [Piece(Path(), piece) for piece in pieces]
-        found = Reconstruction(models, matches, list(features), doubts=doubts or {})
-        model = ColmapModel({}, [], [], Path()) if pieces else None
+    def explain(self, *args: Any, **kwargs: Any) -> SceneError:
         with pytest.raises(SceneError) as caught:
-            largest_group(FoundCameras(found, model), NAMES, "folder", require_all=True)
+            group_of(*args, **kwargs, require_all=True)
         return caught.value
 
     def test_the_reason_the_pairs_and_the_picture_between(self) -> None:
@@ -54,9 +66,7 @@ class TestExplanation:
 
     def test_many_photographs_have_one_line(self) -> None:
         names = [f"{k:02}.jpg" for k in range(20)]
-        found = Reconstruction([Piece(Path(), [*range(9)])], {(0, 19): 24, (2, 12): 42}, [900] * 20)
-        cameras = FoundCameras(found, ColmapModel({}, [], [], Path()))
-        group = largest_group(cameras, names, "folder", require_all=False)
+        group = group_of([[*range(9)]], {(0, 19): 24, (2, 12): 42}, [900] * 20, names=names)
         assert reason_lines(group.left_out, names) == [
             "  09.jpg, 10.jpg, 11.jpg, 12.jpg, 13.jpg and 6 more: at most 42 matches with those "
             "that connect, too few for a camera"
@@ -64,7 +74,7 @@ class TestExplanation:
         assert "between 02.jpg and 12.jpg" in group.advice
 
     def test_a_blurred_photograph(self) -> None:
-        error = self.explain([[0, 1, 2, 3]], (900, 900, 900, 900, 17))
+        error = self.explain([[0, 1, 2, 3]], features=(900, 900, 900, 900, 17))
         assert "  e.jpg: nearly no details" in error.what
         assert "take e.jpg again" in error.fix
 
@@ -104,29 +114,20 @@ class TestExplanation:
         assert "step to the side" in error.fix
 
     def test_two_photographs_depend_on_their_focal_length(self) -> None:
-        cameras = FoundCameras(Reconstruction([], {(0, 1): 1660}, [900] * 2), None)
         with pytest.raises(SceneError, match="correct the focal length in EXIF if it is wrong"):
-            largest_group(cameras, NAMES[:2], "folder", require_all=False)
+            group_of([], {(0, 1): 1660}, [900] * 2, names=NAMES[:2])
 
     def test_one_piece_is_accepted(self) -> None:
-        found = Reconstruction([Piece(Path(), [0, 1, 2, 3, 4])], MATCHES, [900] * 5)
-        model = ColmapModel({}, [], [], Path())
-        cameras = FoundCameras(found, model)
-        assert largest_group(cameras, NAMES, "folder", require_all=True) == (model, {}, "")
+        assert group_of([[0, 1, 2, 3, 4]], require_all=True) == (MODEL, {}, "")
 
     def test_photographs_outside_the_largest_group_have_reasons(self) -> None:
-        found = Reconstruction([Piece(Path(), [0, 1, 2])], MATCHES, [900] * 5)
-        model = ColmapModel({}, [], [], Path())
-        cameras = FoundCameras(found, model)
-        group = largest_group(cameras, NAMES, "folder", require_all=False)
-        assert group.model is model
+        group = group_of([[0, 1, 2]])
+        assert group.model is MODEL
         assert list(group.left_out) == [3, 4]
 
     def test_two_photographs_are_too_few(self) -> None:
-        found = Reconstruction([Piece(Path(), [0, 1])], MATCHES, [900] * 5)
-        cameras = FoundCameras(found, ColmapModel({}, [], [], Path()))
         with pytest.raises(SceneError, match="2 of 5 photographs"):
-            largest_group(cameras, NAMES, "folder", require_all=False)
+            group_of([[0, 1]])
 
     @pytest.mark.parametrize("available", [False, True])
     def test_networks_are_suggested_if_they_are_missing(

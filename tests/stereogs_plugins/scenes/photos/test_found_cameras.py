@@ -4,44 +4,51 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
-from stereogs_plugins.scenes.photos.found_cameras import remembered_cameras
-from stereogs_plugins.scenes.photos.structure_from_motion import Reconstruction
-from stereogs_plugins.scenes.photos.unposed_photos import read_folder
+from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
+from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load, reconstruction_of
+
+Find = Callable[[str, Sequence[UnposedPhoto]], FoundCameras]
 
 
 def test_cameras_are_estimated_once(
-    folder: Path, cached: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    folder: Path, entry: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    copy = shutil.copytree(folder, tmp_path / "elsewhere")
-    load(copy)
+    load(shutil.copytree(folder, tmp_path / "elsewhere"))
     assert "finding the cameras" not in caplog.text
+    assert [*entry.parent.iterdir()] == [entry]
+
+
+@pytest.fixture
+def find(entry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Find, list[Path]]:
+    """Cameras of photographs with an empty cache, and the folders of those that were estimated."""
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
+    estimated: list[Path] = []
+
+    def compute(empty: Path) -> Reconstruction:
+        estimated.append(empty)
+        return reconstruction_of(entry)
+
+    return lambda treatment, photos: remembered_cameras(photos, treatment, compute), estimated
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "missing", "checksum"])
 def test_damaged_cameras_are_estimated_again(
     damage: str,
     folder: Path,
-    cached: Path,
+    find: tuple[Find, list[Path]],
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    (whole,) = cached.glob("cameras/*")
-    photos = read_folder(folder).photos
-    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
-    asked: list[Path] = []
-
-    def compute(empty: Path) -> Reconstruction:
-        asked.append(empty)
-        return reconstruction_of(whole)
-
-    before = remembered_cameras(photos, "treatment", compute)
+    (found, estimated), photos = find, read_folder(folder).photos
+    before = found("treatment", photos)
     (kept,) = tmp_path.glob("cameras/*")
     images = kept / "piece_0" / "images.bin"
     content = bytearray(images.read_bytes())
@@ -54,30 +61,22 @@ def test_damaged_cameras_are_estimated_again(
         images.unlink()
     else:
         (kept / "checksum.txt").write_bytes(b"\xff")
-    after = remembered_cameras(photos, "treatment", compute)
+    after = found("treatment", photos)
     assert "damaged" in caplog.text
     assert before.model is not None
     assert after.model is not None
     assert after.model.images == before.model.images
-    again = remembered_cameras(photos, "treatment", compute)
+    again = found("treatment", photos)
     assert again.model is not None
     assert again.model.points == before.model.points
     assert again.reconstruction.matches == before.reconstruction.matches == MATCHES
-    assert len(asked) == 2
+    assert len(estimated) == 2
 
 
 def test_other_photographs_or_settings_are_other_cameras(
-    folder: Path, cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, find: tuple[Find, list[Path]]
 ) -> None:
-    photos = read_folder(folder).photos
-    (whole,) = cached.glob("cameras/*")
-    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
-    asked: list[Path] = []
-
-    def compute(empty: Path) -> Reconstruction:
-        asked.append(empty)
-        return reconstruction_of(whole)
-
+    (found, estimated), photos = find, read_folder(folder).photos
     for treatment, chosen in (("a", photos), ("a", photos), ("b", photos), ("a", photos[1:])):
-        remembered_cameras(chosen, treatment, compute)
-    assert len(asked) == 3
+        found(treatment, chosen)
+    assert len(estimated) == 3

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image, ImageOps
+from PIL import Image
 
 from registry import Scene, SceneError
 from registry.testing import check
-from registry.toolkit.photos import Decoder, longest_side, read_colmap_model
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.photos import (
-    PhotosScene,
-    VideoScene,
-    stereogs_register_scenes,
-    structure_from_motion,
-)
+from stereogs_plugins.scenes.photos import PhotosScene, VideoScene, stereogs_register_scenes
+from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
@@ -30,6 +23,7 @@ from tests.stereogs_plugins.scenes.photos.photographs import (
     load,
     pose_errors,
     reconstruction_of,
+    with_focal,
     write_pictures,
 )
 
@@ -38,7 +32,7 @@ def test_registers_as_photos() -> None:
     assert offered(stereogs_register_scenes) == {"photos": PhotosScene, "video": VideoScene}
 
 
-def test_cameras_of_the_room_are_found(folder: Path, room: Scene, cached: Path) -> None:
+def test_cameras_of_the_room_are_found(folder: Path, room: Scene, entry: Path) -> None:
     scene = load(folder, test_every=0)
     assert [view.name for view in scene.train] == [view.name for view in room.train]
     found, truth = ([view.camera for view in s.train] for s in (scene, room))
@@ -51,7 +45,7 @@ def test_cameras_of_the_room_are_found(folder: Path, room: Scene, cached: Path) 
     assert scene.test == ()
 
 
-def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, cached: Path) -> None:
+def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, entry: Path) -> None:
     scene = load(folder, test_every=0)
     assert scene.fact("turned_upright") == 1
     view = scene.train[SIDEWAYS]
@@ -62,7 +56,7 @@ def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, cache
     assert float((small[0] - small[1]).abs().mean()) < 0.03
 
 
-def test_the_split_and_its_points(folder: Path, cached: Path) -> None:
+def test_the_split_and_its_points(folder: Path, entry: Path) -> None:
     scene = load(folder, test_every=3)
     assert (scene.fact("train_photographs"), scene.fact("test_photographs")) == ((1, 2, 4), (0, 3))
     fewer = load(folder, test_every=3, train_views=2)
@@ -79,8 +73,7 @@ def test_two_photographs_need_a_known_focal_length(
     folder: Path, room: Scene, tmp_path: Path
 ) -> None:
     lens = room.train[0].camera
-    exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = round(lens.fx / math.hypot(lens.width, lens.height) * 43.27)
+    exif = with_focal(round(lens.fx / math.hypot(lens.width, lens.height) * 43.27))
     for view in room.train[:2]:
         with Image.open(folder / f"{view.name}.jpg") as opened:
             opened.save(tmp_path / f"{view.name}.jpg", quality=97, exif=exif)
@@ -98,56 +91,10 @@ def test_two_photographs_need_a_known_focal_length(
         load(tmp_path)
 
 
-@pytest.mark.proof
-@pytest.mark.parametrize("wrong", [range(5), [2]])
-def test_wrong_focal_lengths_in_exif_are_ignored(
-    folder: Path,
-    room: Scene,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    wrong: Sequence[int],
-) -> None:
-    exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA405] = 400
-    for index, view in enumerate(room.train):
-        with Image.open(folder / f"{view.name}.jpg") as opened:
-            upright = ImageOps.exif_transpose(opened)
-        upright.save(
-            tmp_path / f"{view.name}.jpg", quality=97, exif=exif if index in wrong else b""
-        )
-    scene = load(tmp_path)
-    found, truth = ([view.camera for view in s.train] for s in (scene, room))
-    assert pose_errors(found, truth)[0].max() < 0.5
-    assert f"{room.train[wrong[0]].name}.jpg has 400 mm" in caplog.text
-    assert scene.fact("focal_lengths_by_exif") == 0
-
-
-@pytest.mark.proof
-@pytest.mark.parametrize(
-    ("scene", "pictures", "wrong", "right"),
-    [("llff_fortress", "images_8", 6.7, 0.84), ("mview_temple", "images", 0.71, 2.38)],
-)
-def test_wrong_focal_lengths_with_few_photographs_are_ignored(
-    scene: str, pictures: str, wrong: float, right: float, tmp_path: Path
-) -> None:
-    """Three neighbours: fixed lenses 8 times as long fit, or a free lens ends half as long."""
-    photos = read_folder(data_folder(scene) / pictures).photos
-    first = len(photos) // 3
-    photos = [replace(photo, focal=wrong) for photo in photos[first : first + 3]]
-    decoder = Decoder(longest_side(1200), "box", upright=True)
-    found = structure_from_motion.reconstruct(photos, decoder, True, tmp_path)
-    assert found.ignores_exif
-    assert found.pieces[0].members == [0, 1, 2]
-    model = read_colmap_model(found.pieces[0].folder, "")
-    lens = model.lens(model.images[0][1])
-    assert 0.9 < lens.fx / max(lens.width, lens.height) / right < 1.7
-
-
 def test_altered_photographs_are_named(
-    folder: Path, cached: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    folder: Path, entry: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (whole,) = cached.glob("cameras/*")
-    found = reconstruction_of(whole)
+    found = reconstruction_of(entry)
     found.pieces[0] = found.pieces[0]._replace(altered=(1, 3))
     load(folder)
     assert "cropped" not in caplog.text
@@ -157,27 +104,23 @@ def test_altered_photographs_are_named(
     assert "cropped or zoomed, as it seems: train_01.jpg, train_03.jpg" in caplog.text
 
 
-def test_few_photographs_all_train(folder: Path, cached: Path) -> None:
-    scene = load(folder)
+def test_few_photographs_are_reduced_and_all_train(folder: Path, entry: Path) -> None:
+    scene = load(folder, max_size=120)
     assert (len(scene.train), len(scene.test)) == (5, 0)
-
-
-def test_photographs_are_reduced(folder: Path, cached: Path) -> None:
-    view = load(folder, max_size=120).train[0]
-    assert max(view.image.shape[:2]) <= 130  # cropping by undistortion changes it a little
-    assert "resized from 360x270 to 120x90" in str(load(folder, max_size=120).fact("changed"))
+    # Cropping by undistortion changes the size a little.
+    assert max(scene.train[0].image.shape[:2]) <= 130
+    assert "resized from 360x270 to 120x90" in str(scene.fact("changed"))
 
 
 def test_transparent_pictures_are_laid_on_the_background(
     folder: Path,
-    cached: Path,
+    entry: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    (whole,) = cached.glob("cameras/*")
     monkeypatch.setenv("STEREOGS_CACHE", "")
-    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: reconstruction_of(whole))
+    monkeypatch.setattr(structure_from_motion, "reconstruct", lambda *_: reconstruction_of(entry))
     copy = shutil.copytree(folder, tmp_path / "copy")
     for path, alpha in (("train_01", 0), ("train_03", 255)):
         with Image.open(copy / f"{path}.jpg") as file:
@@ -195,26 +138,31 @@ def test_transparent_pictures_are_laid_on_the_background(
     assert scene.background == (0, 0, 0)
 
 
-def test_the_contract(folder: Path, cached: Path) -> None:
+def test_the_contract(folder: Path, entry: Path) -> None:
     check(PhotosScene, path=folder)
 
 
-def test_folders_that_are_recognized(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "recognized"),
+    [
+        (".hidden", True),
+        ("Thumbs.db", True),
+        ("notes.txt", True),
+        ("IMG_1.DNG", True),
+        ("transforms.json", False),
+        ("cameras.txt", False),
+    ],
+)
+def test_folders_that_are_recognized(file: str, recognized: bool, tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
     write_pictures(tmp_path, 1)
-    (tmp_path / ".hidden").touch()
+    (tmp_path / file).touch()
+    assert PhotosScene.recognizes(tmp_path) is recognized
+
+
+def test_a_folder_with_a_link_to_a_folder_is_not_recognized(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 1)
     assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "Thumbs.db").touch()
-    assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "notes.txt").touch()
-    (tmp_path / "IMG_1.DNG").touch()
-    assert PhotosScene.recognizes(tmp_path)
-    (tmp_path / "transforms.json").touch()
-    assert not PhotosScene.recognizes(tmp_path)
-    (tmp_path / "transforms.json").unlink()
-    (tmp_path / "cameras.txt").touch()
-    assert not PhotosScene.recognizes(tmp_path)
-    (tmp_path / "cameras.txt").unlink()
     (tmp_path / "sparse").symlink_to(tmp_path.parent)
     assert not PhotosScene.recognizes(tmp_path)
 

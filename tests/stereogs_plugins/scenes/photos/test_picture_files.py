@@ -15,9 +15,12 @@ from registry import SceneError
 from registry.toolkit.photos import Decoder
 from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
-from tests.stereogs_plugins.scenes.photos.photographs import load, write_pictures
-
-FOCAL_35MM = 0xA405
+from tests.stereogs_plugins.scenes.photos.photographs import (
+    EXIF_BLOCK,
+    FOCAL_35MM,
+    load,
+    write_pictures,
+)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -46,6 +49,17 @@ def test_a_missing_folder(tmp_path: Path) -> None:
 def reasons(folder: Path) -> dict[str, str]:
     """Why files of a folder are left out, by name."""
     return {str(path.relative_to(folder)): why for path, why in read_folder(folder).left_out}
+
+
+def test_pictures_in_other_formats_are_left_out(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    (tmp_path / "1.CR3").touch()
+    (tmp_path / "IMG_1.CR3").touch()
+    Image.fromarray(np.full((30, 40), 1000, dtype=np.uint16)).save(tmp_path / "3.png")
+    why = reasons(tmp_path)
+    assert "same picture in a supported format" in why["1.CR3"]
+    assert "convert it to JPEG or PNG" in why["IMG_1.CR3"]
+    assert why["3.png"].endswith("not 8 bits per channel")
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
@@ -81,14 +95,6 @@ def test_copies_are_left_out(tmp_path: Path) -> None:
         "copy.jpg": "a copy of 0.jpg",
         "in/1.jpg": "a copy of 1.jpg",
     }
-
-
-def test_unsupported_formats_are_left_out(tmp_path: Path) -> None:
-    write_pictures(tmp_path, 3)
-    (tmp_path / "1.CR3").write_bytes(b"")
-    (tmp_path / "IMG_1.CR3").write_bytes(b"")
-    assert "same picture in a supported format" in reasons(tmp_path)["1.CR3"]
-    assert "convert it to JPEG or PNG" in reasons(tmp_path)["IMG_1.CR3"]
 
 
 def test_a_phones_folder(tmp_path: Path) -> None:
@@ -145,16 +151,10 @@ def test_focal_length_by_exif(
 ) -> None:
     write_pictures(tmp_path, 2)
     exif = Image.Exif()
-    exif.get_ifd(0x8769).update(tags)
+    exif.get_ifd(EXIF_BLOCK).update(tags)
     Image.new("RGB", (300, 400)).save(tmp_path / "z.jpg", exif=exif)
     focal = read_folder(tmp_path).photos[-1].focal
     assert focal == (None if expected is None else pytest.approx(expected, rel=1e-3))
-
-
-def test_a_picture_with_16_bits_is_left_out(tmp_path: Path) -> None:
-    write_pictures(tmp_path, 3)
-    Image.fromarray(np.full((30, 40), 1000, dtype=np.uint16)).save(tmp_path / "3.png")
-    assert reasons(tmp_path)["3.png"].endswith("not 8 bits per channel")
 
 
 def test_descriptions_of_pictures_are_companions(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import pytest
 
 from registry import SceneError
 from registry.testing import check
-from stereogs.cli import main
 from stereogs_plugins.scenes.photos import VideoScene, video_file
 from stereogs_plugins.scenes.photos.video_file import Candidate, chosen_frames
 from tests.data import data_folder
+from tests.host import main
 from tests.stereogs_plugins.building import build
 
 PHOTOGRAPHS, COPIES = 5, 3
@@ -34,10 +34,21 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture
+def cache(clip: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache that the tests share: four frames of the clip and their cameras are found once."""
+    cache = clip.with_name("cache")
+    monkeypatch.setenv("STEREOGS_CACHE", str(cache))
+    return cache
+
+
 def test_a_video_is_a_scene_of_its_sharp_frames(
-    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    clip: Path,
+    cache: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     assert main(["check", str(clip), "--set", "frames=4"]) == 0
     assert "fern clip, read by the scene loader video" in capsys.readouterr().out
@@ -47,7 +58,7 @@ def test_a_video_is_a_scene_of_its_sharp_frames(
     assert scene.fact("frames_of_the_video") == ", ".join(f"{n:06d}" for n in numbers)
     assert len({number // COPIES for number in numbers}) == 4, "four different photographs"
     assert all(number % COPIES != 1 for number in numbers), "no blurred one"
-    assert [*(tmp_path / "cache" / "frames").iterdir()] != []
+    assert [*(cache / "frames").iterdir()] != []
 
 
 def test_an_error_names_the_video(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,6 +99,5 @@ def test_all_frames_of_a_short_clip_are_chosen() -> None:
     assert chosen_frames(frames, 5) == [0, 10, 20, 30]
 
 
-def test_the_contract(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
-    check(VideoScene, path=clip, frames=3)
+def test_the_contract(clip: Path, cache: Path) -> None:
+    check(VideoScene, path=clip, frames=4)

@@ -1,0 +1,1 @@
+"""Cameras from photographs: features, matches, mapping, refinement, checks."""

@@ -1,0 +1,97 @@
+"""Matches by the networks ALIKED and LightGlue, for photographs that SIFT does not match.
+
+ALIKED (Zhao et al. 2023) finds keypoints, LightGlue (Lindenberger et al., ICCV 2023) matches them. The files
+are read from the model folder if it has them, checked by hash (docs/prior_models.md), and never downloaded.
+Their matches are added to those of SIFT, which are more exact.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel, model_files
+from registry.toolkit.progress import tracked
+
+from . import thresholds
+from .colmap import image_index, image_name, open_database
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Scalar = TypeVar("Scalar", np.float32, np.uint32)
+FINDER = (
+    Path("aliked_lightglue", "aliked_n16.onnx"),
+    "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
+)
+MATCHER = (
+    Path("aliked_lightglue", "lightglue_aliked.onnx"),
+    "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
+)
+"""Paths relative to the folder, with SHA-256."""
+
+
+def known_files() -> tuple[Path, ...] | None:
+    """Paths of the two networks in the folder STEREOGS_MODELS, or None if one is missing."""
+    return model_files(FINDER[0], MATCHER[0])
+
+
+def add_learned_matches(files: tuple[Path, ...], images: Path, sift: Path, database: Path) -> None:
+    """Fill a database with unverified keypoints and matches of SIFT and the networks.
+
+    Args:
+        files: result of `known_files`.
+        images: folder of the upright photographs, named by index.
+        sift: database with the keypoints and matches of SIFT.
+        database: database with the same photographs only.
+
+    Raises:
+        PluginError: a file does not match its hash, or cannot be run.
+    """
+    networks = KeypointNetworks(
+        *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True)),
+        multiple=1,
+    )
+    with open_database(sift) as known, open_database(database) as opened:
+        there = {image_index(image.name): image.image_id for image in known.read_all_images()}
+        here = {image_index(image.name): image.image_id for image in opened.read_all_images()}
+        found = {
+            k: _keypoints(networks, images / image_name(k))
+            for k in tracked(sorted(here), "keypoints")
+        }
+        before = {k: known.read_keypoints(there[k])[:, :2] for k in found}
+        for k, keypoints in found.items():
+            opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
+        pairs = list(combinations(found, 2))
+        for first, second in tracked(pairs, "matching"):
+            rows, _ = networks.match(found[first], found[second], thresholds.MIN_SCORE)
+            new = rows.numpy() + np.array([len(before[first]), len(before[second])])
+            old = known.read_matches(there[first], there[second])
+            opened.write_matches(here[first], here[second], _joined(old, new))
+
+
+def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
+    """The best keypoints of a picture, which is scaled to `KEYPOINT_SIZE` first."""
+    import torch
+    from PIL import Image
+
+    with Image.open(file) as opened:
+        picture = opened.convert("RGB")
+    scale = min(thresholds.KEYPOINT_SIZE / max(picture.size), thresholds.MAX_ENLARGED)
+    width, height = (round(side * scale) for side in picture.size)
+    scaled = picture.resize((width, height), Image.Resampling.BICUBIC)
+    image = torch.from_numpy(np.asarray(scaled, np.float32) / 255)
+    found = networks.keypoints(image, turned=False)
+    back = torch.tensor([picture.width / width, picture.height / height])
+    return Keypoints(
+        found.points[: thresholds.MAX_KEYPOINTS] * back,
+        found.normalized[:, : thresholds.MAX_KEYPOINTS],
+        found.descriptors[:, : thresholds.MAX_KEYPOINTS],
+    )
+
+
+def _joined(first: NDArray[Scalar], second: NDArray[Any]) -> NDArray[Scalar]:
+    return np.concatenate([first, second.astype(first.dtype)])
