@@ -30,9 +30,9 @@ from benchmarks.left_out_scenes import OVERRIDES
 from benchmarks.records import RECORDS, append, lines
 from benchmarks.trainings import PIPELINES
 from registry import Scene, View
+from registry.calls.process_state import one_torch_thread
 from registry.runs.run import Run
 from registry.toolkit.images import predicted_psnr
-from registry.training.trainer import one_torch_thread
 from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 

@@ -27,11 +27,11 @@ from benchmarks.records import append, lines
 from benchmarks.trainings import PIPELINES
 from core_rasterizer import Device, open_device
 from registry import PointCloud, RunError, Scene
+from registry.calls.process_state import one_torch_thread
 from registry.pipeline.parts import Parts
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.evaluation import evaluate
 from registry.training.assembly import assemble
-from registry.training.trainer import one_torch_thread
 from stereogs.experiments.planning.plan import pipeline_digest
 from stereogs.experiments.showing.score_table import markdown
 from stereogs.session import build_pipeline, load_scene

@@ -20,10 +20,10 @@ from benchmarks.next_views_scenes import PIPELINE, SCENES, PoolScene, pool_scene
 from benchmarks.records import RECORDS, append, lines
 from benchmarks.trainings import check_data
 from registry import RunError
+from registry.calls.process_state import one_torch_thread
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
 from registry.toolkit.cache import source_digest
-from registry.training.trainer import one_torch_thread
 from stereogs.session import train
 from stereogs.verbs.next_views.gain import ExpectedGain
 

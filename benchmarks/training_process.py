@@ -11,11 +11,12 @@ from typing import Any
 
 from core_rasterizer.errors import ExplainedError
 from registry import RunError
+from registry.calls.process_state import one_torch_thread
 from registry.runs.evaluation import evaluate
 from registry.runs.origin import circumstances
 from registry.system.files import write_json
 from registry.system.memory import peak_memory_mb
-from registry.training.trainer import Iteration, one_torch_thread
+from registry.training.trainer import Iteration
 from stereogs.session import build_pipeline, train
 
 PIPELINE, RENDERS, ANSWER = "pipeline.yaml", "renders", "answer.json"

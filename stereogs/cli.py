@@ -12,9 +12,11 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from core_rasterizer.errors import ExplainedError
+from registry.calls.process_state import one_torch_thread
 from registry.errors import PluginError
 from registry.messages.suggestions import did_you_mean, listing
 from registry.messages.terminal import CommandParser, HelpFormatter
@@ -114,7 +116,8 @@ def _completions(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
 def _run(parsed: argparse.Namespace, verb: str) -> int:
     """Run the verb; attribute an unexplained error to the plugin that offers the verb."""
     try:
-        status: int = parsed.command.run(parsed)
+        with one_torch_thread() if parsed.command.computes else nullcontext():
+            status: int = parsed.command.run(parsed)
     except (ExplainedError, OSError):
         raise
     except Exception as error:

@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from registry.calls.process_state import one_torch_thread
 from registry.contract.checks.scene import validate
 from registry.contract.components import IN_MEMORY
 from registry.contract.scene import PointCloud, Scene, View
@@ -105,6 +106,7 @@ def _is_text(source: PathLike) -> bool:
     return isinstance(source, str) and ("\n" in source or source.lstrip().startswith("{"))
 
 
+@one_torch_thread()
 def load_scene(
     source: PipelineSource,
     changes: Sequence[str] = (),
@@ -136,10 +138,8 @@ def load_scene(
             raise PipelineError("the pipeline is already built", fix=fix)
         found = FoundLoader(source.one("scene"), source.training.seed)
     from registry.pipeline.parts import build_part, load_scene as load_part
-    from registry.training.trainer import one_torch_thread
 
-    with one_torch_thread():
-        return load_part(build_part(found.item, found.seed, find_device(device)))
+    return load_part(build_part(found.item, found.seed, find_device(device)))
 
 
 def scene_from_arrays(
@@ -257,6 +257,7 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
     return continue_run(path, replace(options or RunOptions(), **changes), Plugins())
 
 
+@one_torch_thread()
 def open_run(
     folder: PathLike,
     *,
@@ -278,17 +279,15 @@ def open_run(
     """
     path = RunFolder.existing(Path(folder).expanduser()).path
     from registry.runs.opening import load_run
-    from registry.training.trainer import one_torch_thread
 
-    with one_torch_thread():
-        return load_run(
-            path,
-            plugins=Plugins(),
-            device=find_device(device),
-            scene=scene,
-            accept_changed_inputs=accept_changed_inputs,
-            to_train=False,
-        )
+    return load_run(
+        path,
+        plugins=Plugins(),
+        device=find_device(device),
+        scene=scene,
+        accept_changed_inputs=accept_changed_inputs,
+        to_train=False,
+    )
 
 
 def results(folder: PathLike) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from registry.runs.scene_facts import summary, warnings
 
 from ..calls.blame import blame
 from ..calls.policy import checked_plugins, initialization
+from ..calls.process_state import one_torch_thread
 from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
@@ -22,7 +23,6 @@ from ..pipeline.pipeline import Pipeline
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
 from ..training.initial_model import initial_gaussians
-from ..training.trainer import one_torch_thread
 from .options import RunOptions, find_device
 
 

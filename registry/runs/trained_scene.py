@@ -16,6 +16,7 @@ from torch import Tensor
 from core_rasterizer import Camera, GaussianReader, Model, Rendering, save_ply
 
 from ..calls.copies import copied
+from ..calls.process_state import one_torch_thread
 from ..confidence import Confidence, Trained
 from ..contract.components import ViewMetric
 from ..contract.scene import Scene
@@ -25,7 +26,7 @@ from ..pipeline.pipeline import Pipeline
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
-from ..training.trainer import maps_of, one_torch_thread
+from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
 
 
@@ -101,6 +102,7 @@ class TrainedScene:
         """
         return self.checkpoint().part("kinds")
 
+    @one_torch_thread()
     def confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
         """Return the confidence in renders of the Gaussians.
 
@@ -110,8 +112,7 @@ class TrainedScene:
         """
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
         part = build_part(item, self.pipeline.training.seed, self.model.engine)
-        with one_torch_thread():
-            answer: Confidence = part.call(self.trained)
+        answer: Confidence = part.call(self.trained)
         return answer
 
     @property
@@ -128,6 +129,7 @@ class TrainedScene:
             return self.evaluate()
         return self._scores[1]
 
+    @one_torch_thread()
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
         """Render and score all views; draw the test views, or if there are none the others, into a folder."""
         begin = monotonic()
@@ -139,13 +141,12 @@ class TrainedScene:
             for part in asking:
                 with part.at_work():
                     part.component.begin_scoring(trained)
-        with one_torch_thread():
-            views = tracked([*scene.test, *scene.train], "scoring")
-            test = islice(views, len(scene.test))
-            scores = {
-                "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
-                "train": evaluate(self.model, scene, views, quick(metrics), of_train),
-            }
+        views = tracked([*scene.test, *scene.train], "scoring")
+        test = islice(views, len(scene.test))
+        scores = {
+            "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
+            "train": evaluate(self.model, scene, views, quick(metrics), of_train),
+        }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
         return scores

@@ -8,7 +8,6 @@ progress, observers, evaluation and checkpoints.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import torch
@@ -195,18 +194,3 @@ def maps_of(state: Mapping[str, Tensor]) -> dict[str, DepthMap]:
         view: DepthMap(*(state[f"{view}/{key}"] for key in ("depth", "valid", "confidence")))
         for view in names
     }
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Limit torch to one thread within the block, or in the function that this decorates.
-
-    torch's threads spin while they wait and compete with those of the OpenCL device: small operations between
-    kernels then take milliseconds. One thread also makes torch's sums independent of the machine.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -18,10 +18,12 @@ class Command(ABC):
     """A verb. The first line of its module's docstring is its line in `stereogs --help`.
 
     `epilog` is printed below the options in `stereogs VERB --help`. The module should import only what
-    parsing needs, and `run` the rest, so that help and error messages are fast.
+    parsing needs, and `run` the rest, so that help and error messages are fast. A verb
+    that sets `computes` runs with one torch thread, as training does.
     """
 
     epilog: ClassVar[str] = ""
+    computes: ClassVar[bool] = False
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:  # noqa: B027
         """Add positional arguments and options."""

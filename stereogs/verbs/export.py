@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import RunError
+from registry.calls.process_state import one_torch_thread
 from registry.messages.suggestions import did_you_mean, listing
 
 from ..command_line.arguments import add_run, open_given
@@ -114,6 +115,7 @@ def find_exporter(format_name: str, changes: Sequence[str] = ()) -> Item:
     return single_item(Plugins().find(SECTIONS["exporters"], format_name), changes)
 
 
+@one_torch_thread()
 def export(
     run: Run,
     format_name: str,
@@ -143,16 +145,14 @@ def export(
     from registry.calls.copies import copied
     from registry.pipeline.parts import build_part
     from registry.runs.results import EXPORTS
-    from registry.training.trainer import one_torch_thread
 
     item = find_exporter(format_name, changes)
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
-    with one_torch_thread():
-        reader = _reader(run, without, min_confidence)
-        place.mkdir(parents=True, exist_ok=True)
-        part = build_part(item, run.pipeline.training.seed, run.model.engine)
-        files: list[Path] = part.call(reader, copied(run.scene), place)
-        return files
+    reader = _reader(run, without, min_confidence)
+    place.mkdir(parents=True, exist_ok=True)
+    part = build_part(item, run.pipeline.training.seed, run.model.engine)
+    files: list[Path] = part.call(reader, copied(run.scene), place)
+    return files
 
 
 def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> GaussianReader:

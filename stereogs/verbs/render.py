@@ -37,6 +37,7 @@ otherwise to numbered PNG images.
 
 class Render(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -67,31 +68,29 @@ class Render(Command):
         from registry.runs.results import RENDERS
         from registry.toolkit.drawing import smooth_path, write_video
         from registry.toolkit.drawing.pictures import save_view_pictures
-        from registry.training.trainer import one_torch_thread
 
         from .confidence_picture import hatched
 
         folder, scene = run.folder_or_refuse().folder(RENDERS), run.scene
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
-        with one_torch_thread():
-            if not arguments.path:
-                split, views = ("test", scene.test) if scene.test else ("training", scene.train)
-                for view in views:
-                    save_view_pictures(run.rendering(view.camera), view, folder)
-                output.print(f"{counted(len(views), f'{split} view')} in {folder}")
-                if confidence is not None:
-                    place, share = _draw(run, views, arguments.confidence, confidence, folder)
-                    output.print(
-                        f"sure of {share:.0%} of the {split} views' pixels; pictures in {place}; "
-                        f"`stereogs report {arguments.run_folder}` puts them on the page"
-                    )
-                return 0
-            count = FRAMES if arguments.frames is None else arguments.frames
-            cameras = smooth_path([view.camera for view in scene.train], count)
-            frames = (run.rendering(camera).rgb for camera in cameras)
+        if not arguments.path:
+            split, views = ("test", scene.test) if scene.test else ("training", scene.train)
+            for view in views:
+                save_view_pictures(run.rendering(view.camera), view, folder)
+            output.print(f"{counted(len(views), f'{split} view')} in {folder}")
             if confidence is not None:
-                frames = (hatched(run.rendering(one).rgb, confidence.of(one)) for one in cameras)
-            written, note = write_video(frames, folder / "path")
+                place, share = _draw(run, views, arguments.confidence, confidence, folder)
+                output.print(
+                    f"sure of {share:.0%} of the {split} views' pixels; pictures in {place}; "
+                    f"`stereogs report {arguments.run_folder}` puts them on the page"
+                )
+            return 0
+        count = FRAMES if arguments.frames is None else arguments.frames
+        cameras = smooth_path([view.camera for view in scene.train], count)
+        frames = (run.rendering(camera).rgb for camera in cameras)
+        if confidence is not None:
+            frames = (hatched(run.rendering(one).rgb, confidence.of(one)) for one in cameras)
+        written, note = write_video(frames, folder / "path")
         output.print(f"{note}: {written}")
         return 0
 

@@ -37,6 +37,7 @@ class Failure:
 
 class Replay(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -52,15 +53,13 @@ class Replay(Command):
         """Repeat the iteration; return 0 if it succeeds."""
         from core_rasterizer import open_device
         from registry.discovery import Plugins
-        from registry.training.trainer import one_torch_thread
 
-        with one_torch_thread():
-            failure = repeat_failure(
-                arguments.failure,
-                plugins=Plugins(),
-                device=open_device(arguments.device),
-                accept_changed_inputs=arguments.accept_changed_inputs,
-            )
+        failure = repeat_failure(
+            arguments.failure,
+            plugins=Plugins(),
+            device=open_device(arguments.device),
+            accept_changed_inputs=arguments.accept_changed_inputs,
+        )
         console().print(
             f"iteration {failure.iteration} succeeds now; it had failed with: {failure.what}"
         )

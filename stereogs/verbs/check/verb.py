@@ -39,6 +39,7 @@ above, with the sparse points.
 
 class Check(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -84,15 +85,11 @@ class Check(Command):
             from registry.pipeline.parts import build_part, load_scene
             from registry.runs.scene_facts import warnings
             from registry.toolkit.drawing import save_png
-            from registry.training.trainer import one_torch_thread
 
             from .facts import MAIN, facts
             from .scene_picture import scene_picture
 
-            with one_torch_thread():
-                scene = load_scene(
-                    build_part(found.item, found.seed, open_device(arguments.device))
-                )
+            scene = load_scene(build_part(found.item, found.seed, open_device(arguments.device)))
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         known = facts(scene)

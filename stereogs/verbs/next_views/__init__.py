@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING
 
+from registry.calls.process_state import one_torch_thread
+
 if TYPE_CHECKING:
     from core_rasterizer import Camera
     from registry.runs.run import Run
@@ -37,6 +39,7 @@ class NextView:
     reach: float
 
 
+@one_torch_thread()
 def next_views(
     run: Run, candidates: Sequence[Camera] | None = None, *, count: int = 3
 ) -> list[NextView]:
@@ -51,10 +54,7 @@ def next_views(
     Raises:
         RunError: there are no candidates.
     """
-    from registry.training.trainer import one_torch_thread
-
-    with one_torch_thread():
-        return suggestions(run, photographs_of(run), candidates, count)
+    return suggestions(run, photographs_of(run), candidates, count)
 
 
 def suggestions(

@@ -33,6 +33,7 @@ the run's scene.
 
 class Next(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -59,7 +60,6 @@ class Next(Command):
         """Print the suggestions and where their files are."""
         output = console()
         run = open_given(arguments)
-        from registry.training.trainer import one_torch_thread
 
         from . import photographs_of, suggestions
         from .given import other_pictures, read_poses
@@ -67,16 +67,15 @@ class Next(Command):
 
         names: Sequence[str] | None = None
         cameras: Sequence[Camera] | None = None
-        with one_torch_thread():
-            if arguments.poses is not None:
-                names, cameras = read_poses(arguments.poses, run.scene.train[0].camera)
-            elif arguments.pictures is not None:
-                names, cameras = other_pictures(run, arguments.pictures)
-            photographs = photographs_of(run)
-            found = suggestions(run, photographs, cameras, arguments.count)
-            place = run.folder_or_refuse()
-            folder = place.folder("next")
-            write(run, found, names, folder)
+        if arguments.poses is not None:
+            names, cameras = read_poses(arguments.poses, run.scene.train[0].camera)
+        elif arguments.pictures is not None:
+            names, cameras = other_pictures(run, arguments.pictures)
+        photographs = photographs_of(run)
+        found = suggestions(run, photographs, cameras, arguments.count)
+        place = run.folder_or_refuse()
+        folder = place.folder("next")
+        write(run, found, names, folder)
         for number, view in enumerate(found, start=1):
             name = f"{names[view.index]}: " if names is not None else ""
             output.print(f"{number}  {name}{view.words}")

@@ -42,6 +42,7 @@ settings worked.
 
 class Priors(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the action `check`."""
@@ -68,7 +69,6 @@ class Priors(Command):
         from registry.discovery import Plugins
         from registry.toolkit.networks import OnnxModel
         from registry.toolkit.networks.onnx_model import answers_within
-        from registry.training.trainer import one_torch_thread
 
         from .prior_trials import guesses, known_truth
 
@@ -77,7 +77,7 @@ class Priors(Command):
         _print_properties(model, output)
         found = guesses(model, plugins, arguments.set)
         device = open_device(arguments.device)
-        with one_torch_thread(), _quiet_priors(), answers_within(LONGEST):
+        with _quiet_priors(), answers_within(LONGEST):
             truth = known_truth(plugins, device)
             trials = list(_successful(found, truth, device, output))
         if not trials:

@@ -10,6 +10,7 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from core_rasterizer import GaussianError
+from registry.calls.process_state import one_torch_thread
 
 from .subject import of_run, snapshot
 from .viewer import Viewer
@@ -51,6 +52,7 @@ class LivePage:
             _log.warning("the page is closed, training continues: %s", error)
             self.close()
 
+    @one_torch_thread()
     def serve_finished_run(self) -> None:
         """Show the final Gaussians until Ctrl-C."""
         if self._viewer is None:

@@ -43,8 +43,6 @@ class LiveView(TrainOption):
             yield options
             return
         import_viser()
-        from registry.training.trainer import one_torch_thread
-
         from ...command_line.output import console
 
         output = console()
@@ -72,8 +70,7 @@ class LiveView(TrainOption):
                     output.print(
                         f"{page.run.scene.name} is still at {page.url} (press Ctrl-C to stop)"
                     )
-                    with one_torch_thread():
-                        page.serve_finished_run()
+                    page.serve_finished_run()
         finally:
             for page in pages:
                 page.close()

@@ -26,6 +26,7 @@ through ssh: ssh -L 8080:localhost:8080 HOST. Ctrl-C stops the server.
 
 class View(Command):
     epilog = _EPILOG
+    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -44,18 +45,16 @@ class View(Command):
     def run(self, arguments: argparse.Namespace) -> int:
         """Serve the page until Ctrl-C."""
         import_viser()  # fails before a scene is loaded
-        from registry.training.trainer import one_torch_thread
 
-        with one_torch_thread():
-            subject = _subject(arguments)
-            from .viewer import Viewer
+        subject = _subject(arguments)
+        from .viewer import Viewer
 
-            viewer = Viewer(subject, arguments.port)
-            console().print(f"{subject.name} is at {viewer.url} (press Ctrl-C to stop)")
-            try:
-                viewer.serve_until_interrupted()
-            finally:
-                viewer.close()
+        viewer = Viewer(subject, arguments.port)
+        console().print(f"{subject.name} is at {viewer.url} (press Ctrl-C to stop)")
+        try:
+            viewer.serve_until_interrupted()
+        finally:
+            viewer.close()
         return 0
 
 

@@ -12,9 +12,8 @@ from PIL import Image
 
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
-from registry.runs.scene_facts import points_in_view
+from registry.runs.scene_facts import points_in_view, summary, warnings
 from registry.testing import tiny_scene
-from registry.toolkit.views import summary, warnings
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (
     TEST_COLOR,

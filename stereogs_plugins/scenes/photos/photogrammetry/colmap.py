@@ -138,11 +138,8 @@ class VerifiedPair(NamedTuple):
     def has_depth(self) -> bool:
         """False if a homography explains the matches."""
         kinds = pycolmap.TwoViewGeometryConfiguration
-        return self.geometry.config not in (
-            kinds.PLANAR,
-            kinds.PANORAMIC,
-            kinds.PLANAR_OR_PANORAMIC,
-        )
+        flat = kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC
+        return self.geometry.config not in flat
 
 
 def verified_pairs(database: Database) -> Iterator[VerifiedPair]:
@@ -203,11 +200,6 @@ def rays_of(lens: Camera, pixels: Array) -> Array:
 def pixels_of(lens: Camera, rays: Array) -> Array:
     """Inverse of `rays_of`."""
     return cast("Array", lens.img_from_cam(rays))
-
-
-def positions(model: Model) -> Array:
-    """Positions `[P, 3]` of the points, in the order of their ids."""
-    return np.array([point.xyz for _, point in sorted(model.points3D.items())]).reshape(-1, 3)
 
 
 def map_incrementally(

@@ -17,7 +17,7 @@ import torch
 from registry.toolkit.progress import tracked
 
 from .. import thresholds
-from ..colmap import Track, lens_of, pixels_of, positions
+from ..colmap import Track, lens_of, pixels_of
 from .depth import Pictures, confirmed, depth_of, sampled
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def dense_matches(model: Model, images: Path) -> list[Track]:
 
 
 def _photos(model: Model, pictures: Pictures) -> dict[int, PinholePhoto]:
-    points = positions(model)
+    points = np.array([point.xyz for _, point in sorted(model.points3D.items())]).reshape(-1, 3)
     photos = {k: pictures.undistorted(model, k, points) for k in sorted(model.reg_image_ids())}
     return {k: photo for k, photo in photos.items() if photo is not None}
 
