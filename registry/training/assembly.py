@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from core_rasterizer import Gaussians
+from core_rasterizer import Gaussians, Model
 
 from ..contract.scene import PointCloud, Scene
 from ..pipeline.parts import Parts
@@ -32,16 +32,20 @@ def assemble(
     return Trainer(settings, parts, scene, model, points.maps, points.kinds)
 
 
-def restore(parts: Parts, scene: Scene, checkpoint: Checkpoint) -> Trainer:
+def restore(
+    parts: Parts, scene: Scene, checkpoint: Checkpoint, model: Model | None = None
+) -> Trainer:
     """Return the training of a pipeline after a checkpoint; it continues to the same bits.
 
     Args:
         parts, scene: as in `assemble`.
+        model: holds the checkpoint's Gaussians; None creates it.
 
     Raises:
         ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
         Exception: tensors of the checkpoint do not fit; see `explain_misfit`.
     """
     settings = parts.pipeline.training
-    model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
+    if model is None:
+        model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
     return Trainer(settings, parts, scene, model, checkpoint=checkpoint)
