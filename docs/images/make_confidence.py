@@ -12,7 +12,7 @@ from PIL import Image
 
 import stereogs
 from registry.toolkit.drawing import side_by_side, to_bytes
-from stereogs.verbs.confidence_picture import hatched, with_scale
+from stereogs.confidence_picture import hatched, with_scale
 
 ROOT = Path(__file__).parents[2]
 SHOWN = 2

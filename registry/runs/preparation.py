@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from time import monotonic
 
 from core_rasterizer import Gaussians
-from registry.runs.scene_facts import summary, warnings
 
 from ..calls.blame import blame
 from ..calls.policy import checked_plugins, initialization
@@ -23,6 +22,7 @@ from ..pipeline.pipeline import Pipeline
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
 from ..training.initial_model import initial_gaussians
+from ..training.scene_facts import summary, warnings
 from .options import RunOptions, find_device
 
 

@@ -69,7 +69,7 @@ class Render(Command):
         from registry.toolkit.drawing import smooth_path, write_video
         from registry.toolkit.drawing.pictures import save_view_pictures
 
-        from .confidence_picture import hatched
+        from ..confidence_picture import hatched
 
         folder, scene = run.folder_or_refuse().folder(RENDERS), run.scene
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
@@ -104,7 +104,7 @@ def _draw(
     from registry.toolkit.images import decibels, predicted_psnr
     from registry.toolkit.views import subject_of, view_angles
 
-    from .confidence_picture import CONFIDENCE, GUESSED, hatched, with_scale
+    from ..confidence_picture import CONFIDENCE, GUESSED, hatched, with_scale
 
     scene, place = run.scene, folder / CONFIDENCE
     place.mkdir(exist_ok=True)

@@ -83,8 +83,8 @@ class Check(Command):
             )
             from core_rasterizer import open_device
             from registry.pipeline.parts import build_part, load_scene
-            from registry.runs.scene_facts import warnings
             from registry.toolkit.drawing import save_png
+            from registry.training.scene_facts import warnings
 
             from .facts import MAIN, facts
             from .scene_picture import scene_picture

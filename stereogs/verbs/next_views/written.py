@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from registry.system.files import write_text
 from registry.toolkit.drawing import save_png
 
-from ..confidence_picture import hatched
+from ...confidence_picture import hatched
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

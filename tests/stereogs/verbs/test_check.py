@@ -12,7 +12,6 @@ from PIL import Image
 
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
-from registry.runs.scene_facts import points_in_view, summary, warnings
 from registry.testing import tiny_scene
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (
@@ -23,7 +22,16 @@ from stereogs.verbs.check.scene_picture import (
     round_step,
     scene_picture,
 )
-from tests.host import Plugins, main, parse_command, recognize, typical_depth
+from tests.host import (
+    Plugins,
+    main,
+    parse_command,
+    points_in_view,
+    recognize,
+    summary,
+    typical_depth,
+    warnings,
+)
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]

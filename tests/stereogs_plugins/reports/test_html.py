@@ -15,9 +15,15 @@ from core_rasterizer import Gaussians, Rendering
 from registry import Fact, RunError
 from registry.testing import tiny_scene
 from registry.toolkit.drawing import save_png
-from registry.toolkit.drawing.pictures import save_view_pictures
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
-from tests.host import CHECKPOINT, Checkpoint, RunFolder, save_checkpoint, write_json
+from tests.host import (
+    CHECKPOINT,
+    Checkpoint,
+    RunFolder,
+    save_checkpoint,
+    save_view_pictures,
+    write_json,
+)
 from tests.html_page import Page
 from tests.stereogs_plugins.building import build, offered
 
