@@ -5,7 +5,8 @@ middle of the longest gap in the order of the capture, the camera farthest from 
 (five draws). Each set is trained with `weightfree_quick` on small photographs and scored on the test views,
 which no rule uses. Every choice of the 4th photograph is trained, for their mean and the best of them.
 Finished trainings are kept in `benchmarks/records/next_views.jsonl`: the same command continues where it
-stopped. With `--write-docs` rewrites the tables.
+stopped. Changes of the code are not detected; remove the file after one. With `--write-docs` rewrites the
+tables.
 """
 
 from __future__ import annotations
@@ -23,9 +24,7 @@ from registry import RunError
 from registry.calls.process_state import one_torch_thread
 from registry.runs.evaluation import evaluate
 from registry.runs.run import Run
-from registry.toolkit.cache import source_digest
 from stereogs.session import train
-from stereogs.verbs.next_views.gain import ExpectedGain
 
 FILE = RECORDS / "next_views.jsonl"
 LAST = 6
@@ -56,14 +55,12 @@ class Suggestion:
 
     Args:
         views: indices in the pool, ascending.
-        code: digest of the code that suggested it.
         next: index in the pool.
         cpu_seconds: of the suggestion, all threads, without the training.
     """
 
     scene: str
     views: Chosen
-    code: str
     next: int
     cpu_seconds: float
 
@@ -78,7 +75,6 @@ class RecordedSets:
     def __init__(self, *, train_missing: bool = True) -> None:
         self._train_missing = train_missing
         self._trainings, self._suggestions = read_records()
-        self._code = source_digest(ExpectedGain)
         self._newest: tuple[tuple[str, Chosen], Run] | None = None
 
     def psnr(self, scene: PoolScene, views: Chosen) -> float:
@@ -91,16 +87,15 @@ class RecordedSets:
     def following(self, scene: PoolScene, views: Chosen) -> int:
         """Return the photograph that is suggested after some; train unless it is recorded."""
         key = scene.name, tuple(sorted(views))
-        known = self._suggestions.get(key)
-        if known is None or known.code != self._code:
+        if key not in self._suggestions:
             run = self._trained(scene, views)
             begin = process_time()
             with one_torch_thread():
                 chosen = suggested(scene, views, run)
-            known = Suggestion(*key, self._code, chosen, round(process_time() - begin, 2))
-            self._suggestions[key] = known
-            append(asdict(known), FILE)
-        return known.next
+            seconds = round(process_time() - begin, 2)
+            self._suggestions[key] = Suggestion(*key, chosen, seconds)
+            append(asdict(self._suggestions[key]), FILE)
+        return self._suggestions[key].next
 
     def _trained(self, scene: PoolScene, views: Chosen) -> Run:
         key = scene.name, tuple(sorted(views))
@@ -139,6 +134,7 @@ def read_records() -> tuple[
     trainings, suggestions = {}, {}
     for values in lines(FILE):
         key = values["scene"], tuple(values.pop("views"))
+        values.pop("code", None)  # older records have a digest of the code
         if "psnr" in values:
             trainings[key] = ScoredSet(views=key[1], **values)
         else:

@@ -35,13 +35,7 @@ if TYPE_CHECKING:
     from registry.messages.visible_text import is_plain_name
     from registry.pipeline.faults import faults, needs
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
-    from registry.pipeline.pipeline import (
-        Item,
-        checked_pipeline,
-        default_schedule,
-        load_pipeline,
-        parse_pipeline,
-    )
+    from registry.pipeline.pipeline import Item, default_schedule, load_pipeline, parse_pipeline
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
     from registry.pipeline.settings_check import escape_variables, plain, validate_settings
@@ -88,12 +82,7 @@ if TYPE_CHECKING:
     from stereogs.experiments.planning.matrix import plan_of, read_matrix
     from stereogs.experiments.planning.plan import Plan as MatrixPlan
     from stereogs.experiments.running.folder import ExperimentFolder
-    from stereogs.experiments.running.pool import (
-        Outcome,
-        PoolProgress,
-        choose_runner,
-        train_all,
-    )
+    from stereogs.experiments.running.pool import Outcome, PoolProgress, choose_runner, train_all
     from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.new_plugin.package_files import KINDS

@@ -31,7 +31,7 @@ class Page(HTMLParser):
 
     def pictures(self) -> list[Image.Image]:
         """The pictures, which the page must hold itself."""
-        found = []
+        found: list[Image.Image] = []
         for image in self.images:
             kind, _, data = str(image["src"]).partition(",")
             assert kind == "data:image/jpeg;base64"

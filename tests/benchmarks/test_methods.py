@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import yaml
@@ -145,7 +146,7 @@ def test_seconds_are_of_one_machine_and_ratios_of_each() -> None:
     """Two machines, of which one is three times as fast and trained the flower."""
     other, alone = METHODS[1:3]
     fast = {"device": {"name": "pthread-a processor"}, "processor_model": "family 26"}
-    seconds = [
+    seconds: list[tuple[Any, Any, int, float, dict[str, Any]]] = [
         (BASELINE, FERN, 0, 60.0, {}),
         (BASELINE, FLOWER, 0, 20.0, fast),
         (other, FERN, 0, 110.0, {}),

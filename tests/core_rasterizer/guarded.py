@@ -37,7 +37,7 @@ class GuardedDevice(Device):
         whole = torch.full((ZONE + size + ZONE,), self._pattern, dtype=torch.uint8)
         inside = whole[ZONE : ZONE + size].view(dtype)
         inside.copy_(torch.zeros(elements, dtype=dtype) if over is None else over.reshape(-1))
-        flags = cl.mem_flags.READ_WRITE
+        flags: int = cl.mem_flags.READ_WRITE
         flags |= cl.mem_flags.USE_HOST_PTR if self.shares_memory else cl.mem_flags.COPY_HOST_PTR
         buffer = cl.Buffer(self.context, flags, hostbuf=whole.numpy())
         part = buffer.get_sub_region(ZONE, size)

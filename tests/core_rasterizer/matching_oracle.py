@@ -62,7 +62,8 @@ def zncc(left: Floats, right: Floats, planes: int, radius: int) -> Ints:
         found = np.lib.stride_tricks.sliding_window_view(np.pad(image, radius, "edge"), side)
         flat = found.reshape(*image.shape, -1)
         centered: Floats = flat - flat.mean(-1, keepdims=True)
-        return centered / np.sqrt((centered**2).sum(-1, keepdims=True) + pixels * noise**2)
+        scales: Floats = np.sqrt((centered**2).sum(-1, keepdims=True) + pixels * noise**2)
+        return centered / scales
 
     return features(windows(left), windows(right), planes)
 

@@ -43,7 +43,8 @@ def interpolate(image: Floats, u: Floats, v: Floats) -> Floats:
     a, b = (part.reshape(part.shape + (1,) * (image.ndim - 2)) for part in (u - left, v - top))
     upper = (1 - a) * image[top, left] + a * image[top, right]
     lower = (1 - a) * image[bottom, left] + a * image[bottom, right]
-    return (1 - b) * upper + b * lower
+    sampled: Floats = (1 - b) * upper + b * lower
+    return sampled
 
 
 def windowed(values: Floats, radius: int) -> Floats:
@@ -51,7 +52,8 @@ def windowed(values: Floats, radius: int) -> Floats:
     side = (2 * radius + 1,) * 2
     padded, inside = np.pad(values, radius), np.pad(np.ones_like(values), radius)
     sums, counts = (sliding_window_view(a, side).sum(axis=(2, 3)) for a in (padded, inside))
-    return sums / counts
+    means: Floats = sums / counts
+    return means
 
 
 def zncc(first: Floats, second: Floats, radius: int, noise: float) -> Floats:
@@ -89,7 +91,9 @@ def feature_costs(
     """The same for features `[H, W, C]`."""
 
     def similarity(index: int, u: Floats, v: Floats) -> Floats:
-        return (features[0] * interpolate(features[index], u, v)).sum(axis=2)
+        products: Floats = features[0] * interpolate(features[index], u, v)
+        total: Floats = products.sum(axis=2)
+        return total
 
     return _costs(cameras, inverse_depths, similarity, second_share)
 

@@ -13,6 +13,8 @@ from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
 NAMES = ("means", "quaternions", "scales", "opacities", "sh")
 """Arguments of `rasterize`."""
 
+Leaves = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+
 
 @dataclass
 class Scene:
@@ -24,10 +26,24 @@ class Scene:
     opacities: Tensor
     sh: Tensor
 
-    def tensors(self, dtype: torch.dtype = torch.float64) -> tuple[Tensor, ...]:
+    def tensors(self, dtype: torch.dtype = torch.float64) -> Leaves:
         """Fresh leaves in the order of `rasterize`'s arguments."""
         fields = (self.means, self.quaternions, self.scales, self.opacities, self.sh)
-        return tuple(t.detach().to(dtype).requires_grad_() for t in fields)
+        return fresh(fields, dtype)
+
+
+def fresh(values: Leaves, dtype: torch.dtype | None = None) -> Leaves:
+    """Leaves of autograd with the values, of the given type if one is given."""
+    means, quaternions, scales, opacities, sh = (
+        value.detach().clone().to(dtype or value.dtype).requires_grad_() for value in values
+    )
+    return means, quaternions, scales, opacities, sh
+
+
+def gradient(leaf: Tensor) -> Tensor:
+    """The gradient of a leaf, which must have one."""
+    assert leaf.grad is not None
+    return leaf.grad
 
 
 def random_camera(generator: torch.Generator, width: int = 40, height: int = 28) -> Camera:
@@ -103,7 +119,7 @@ def view(seed: int = 0) -> Camera:
     return random_camera(torch.Generator().manual_seed(50 + seed), 90, 60)
 
 
-def activated(stored: Gaussians, dtype: torch.dtype = torch.float64) -> tuple[Tensor, ...]:
+def activated(stored: Gaussians, dtype: torch.dtype = torch.float64) -> Leaves:
     """The arguments of `rasterize` and of the reference for stored parameters."""
     values = {name: getattr(stored, name).to(dtype) for name in PARAMETERS}
     scales, opacities = values["log_scales"].exp(), values["opacity_logits"].sigmoid()

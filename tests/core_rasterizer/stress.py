@@ -7,7 +7,14 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Device, Rendering, rasterize, reference
 from core_rasterizer.raster import NEAR_PLANE
-from tests.core_rasterizer.scenes import NAMES, Scene, random_scene, relative_error, weighted_loss
+from tests.core_rasterizer.scenes import (
+    NAMES,
+    Scene,
+    fresh,
+    random_scene,
+    relative_error,
+    weighted_loss,
+)
 
 BACKGROUND = (0.2, 0.5, 0.9)
 
@@ -81,7 +88,7 @@ def assert_agrees_with_oracle(
 ) -> None:
     """Images and gradients are those of the float64 oracle for the parameters as the device has them."""
     rendering, gradients = there_and_back(scene, camera, device, dtype)
-    leaves = [leaf.detach().double().requires_grad_() for leaf in scene.tensors(dtype)]
+    leaves = fresh(scene.tensors(dtype), torch.float64)
     truth = reference.render(*leaves, camera, BACKGROUND)
     weighted_loss(truth, 0).backward()
     for name in ("rgb", "depth", "alpha"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -120,8 +121,7 @@ def test_the_self_test_reaches_large_chunks_and_boxes_over_64_tiles(
     def render(self: GaussianModel, *arguments: object, **named: object) -> object:
         rendering = original(self, *arguments, **named)  # type: ignore[arg-type]
         counts.append(self.count)
-        coverage = rendering.coverage
-        assert coverage is not None
+        coverage: Any = rendering.coverage
         boxes.append(int(coverage._tiles_covered.read(0, self.count).max()))
         return rendering
 
@@ -164,7 +164,8 @@ def test_a_wrong_result_fails_the_self_test(
         GaussianModel, "gradient", lambda self, name: torch.zeros_like(original(self, name))
     )
     result = self_test_module.trial(device)
-    assert result == Trial("it computes wrongly", **_errors(result))
+    errors: dict[str, Any] = _errors(result)
+    assert result == Trial("it computes wrongly", **errors)
 
 
 def _errors(result: Trial) -> dict[str, object]:

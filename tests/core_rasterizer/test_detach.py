@@ -50,7 +50,9 @@ def test_other_renders_of_the_iteration_still_contribute(
             assert torch.equal(gradient, alone[0][name]), name
         else:
             total = alone[0][name] + alone[1][name]
-            assert torch.allclose(gradient, total, rtol=1e-4, atol=1e-4 * total.abs().max()), name
+            assert torch.allclose(
+                gradient, total, rtol=1e-4, atol=float(1e-4 * total.abs().max())
+            ), name
 
 
 def test_an_unknown_name_raises(device: Device) -> None:

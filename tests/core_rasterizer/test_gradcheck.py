@@ -66,7 +66,9 @@ def images(
 
     def render(*leaves: Tensor) -> Tensor:
         outputs = []
-        scene, poses = leaves[:5], leaves[5:] or [camera.world_to_camera for camera in cameras]
+        means, quaternions, scales, opacities, sh, *given = leaves
+        scene = (means, quaternions, scales, opacities, sh)
+        poses = given or [camera.world_to_camera for camera in cameras]
         for camera, pose in zip(cameras, poses, strict=True):
             posed = replace(camera, world_to_camera=pose)
             rendering = rasterize(*scene, posed, background, **options, device=device)

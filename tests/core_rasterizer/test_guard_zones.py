@@ -28,6 +28,9 @@ from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
 from tests.core_rasterizer.scenes import (
+    Leaves,
+    fresh,
+    gradient,
     parameters,
     random_camera,
     random_scene,
@@ -55,15 +58,13 @@ def same_inside_zones(device: Device, work: Callable[[Device], list[Tensor]]) ->
         assert inside.check() > 0
 
 
-def rendered(
-    scene: tuple[Tensor, ...], camera: Camera, device: Device, **options: Any
-) -> list[Tensor]:
+def rendered(scene: Leaves, camera: Camera, device: Device, **options: Any) -> list[Tensor]:
     """Images and gradients of one render."""
-    leaves = [values.detach().clone().requires_grad_() for values in scene]
+    leaves = fresh(scene)
     rendering = rasterize(*leaves, camera, (0.1, 0.2, 0.3), **options, device=device)
     weighted_loss(rendering, 0).backward()
     images = [rendering.rgb, rendering.depth, rendering.alpha]
-    return [image.detach().clone() for image in images] + [leaf.grad for leaf in leaves]
+    return [image.detach().clone() for image in images] + [gradient(leaf) for leaf in leaves]
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -102,7 +103,7 @@ def test_poses_and_filters(device: Device, count: int, dtype: torch.dtype) -> No
 
     def work(on: Device) -> list[Tensor]:
         with_pose, pose = posed(camera)
-        return [*rendered(tensors, with_pose, on, **options), pose.grad]
+        return [*rendered(tensors, with_pose, on, **options), gradient(pose)]
 
     same_inside_zones(device, work)
 
@@ -165,7 +166,7 @@ def test_the_photometric_loss(device: Device, size: tuple[int, int], dtype: torc
         rgb = images[0].clone().requires_grad_()
         loss = photometric_loss(rgb, images[1], device=on)
         loss.backward()
-        return [loss.detach(), rgb.grad]
+        return [loss.detach(), gradient(rgb)]
 
     same_inside_zones(device, work)
 

@@ -90,9 +90,8 @@ def test_features(device: Device, size: tuple[int, int, int], channels: int) -> 
     generator = torch.Generator().manual_seed(1)
     left, right = (torch.randn(channels, *size[:2], generator=generator) for _ in range(2))
     left, right = left / left.norm(dim=0), right / right.norm(dim=0)
-    expected = oracle.features(
-        *(f.permute(1, 2, 0).double().numpy() for f in (left, right)), size[2]
-    )
+    first, second = (f.permute(1, 2, 0).double().numpy() for f in (left, right))
+    expected = oracle.features(first, second, size[2])
     assert_costs(feature_costs(device, left, right, size[2]), expected, 1)
     assert_costs(feature_costs(device.as_discrete(), left, right, size[2]), expected, 1)
 
@@ -114,7 +113,7 @@ def test_costs_of_the_right_image_are_those_of_the_mirrored_pair(
 
 def test_invalid_pairs_raise() -> None:
     device, image = open_device(), torch.zeros(4, 5)
-    for cost in (census_costs, lambda *a: zncc_costs(*a, 2)):
+    for cost in (census_costs, lambda device, a, b, most: zncc_costs(device, a, b, most, 2)):
         with pytest.raises(ValueError, match="a pair has the shapes"):
             cost(device, image, torch.zeros(4, 6), 3)
         with pytest.raises(ValueError, match="a pair has the shapes"):

@@ -61,7 +61,9 @@ def test_several_renders_accumulate_and_zeroing_forgets(device: Device) -> None:
     (model.render(view(1)).rgb.sum() + model.render(view(2)).rgb.sum()).backward()
     for name in PARAMETERS:
         total = separate[0][name] + separate[1][name]
-        assert torch.allclose(model.gradient(name), total, rtol=1e-4, atol=1e-4 * total.abs().max())
+        assert torch.allclose(
+            model.gradient(name), total, rtol=1e-4, atol=float(1e-4 * total.abs().max())
+        )
     model.zero_gradients()
     assert not model.gradient("means").any()
 
@@ -119,7 +121,7 @@ def test_screen_gradients_are_the_oracles_in_ndc(device: Device) -> None:
         model.zero_gradients()
         model.render(camera, collect_statistics=True).rgb.square().sum().backward()
     assert torch.allclose(
-        model.statistics.screen_gradient().double(), expected, atol=2e-5 * expected.max()
+        model.statistics.screen_gradient().double(), expected, atol=float(2e-5 * expected.max())
     )
     model.statistics.reset()
     assert not model.statistics.screen_gradient().any()

@@ -7,7 +7,7 @@ import torch
 
 from core_rasterizer import Camera, Device, DeviceError, rasterize, reference
 from core_rasterizer.device import program
-from tests.core_rasterizer.scenes import random_camera, random_scene, relative_error
+from tests.core_rasterizer.scenes import fresh, random_camera, random_scene, relative_error
 
 ACCURACY = 1e-6
 """As `test_rasterize.py` asks of devices with double precision."""
@@ -33,7 +33,7 @@ def worst_error(device: Device) -> float:
         pose[:3, 3] -= pose[:3, :3] @ away
         numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         moved, leaves = Camera(pose, *numbers), scene.tensors(torch.float32)
-        truth = reference.render(*(leaf.detach() for leaf in leaves), moved)
+        truth = reference.render(*fresh(leaves), moved)
         rendering = rasterize(*leaves, moved, device=device)
         for name in ("depth", "alpha"):  # view directions of colours are single in any case
             errors.append(relative_error(getattr(rendering, name), getattr(truth, name)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -74,7 +75,7 @@ def textures(cameras: list[Camera]) -> list[Tensor]:
 def test_zncc_costs_agree_with_the_twin(device: Device, radius: int, count: int) -> None:
     cameras = uneven_cameras()[:count]
     images = textures(cameras)
-    settings = {"radius": radius, "noise": 0.01, "second_share": 0.25}
+    settings: dict[str, Any] = {"radius": radius, "noise": 0.01, "second_share": 0.25}
     sweep = ZnccSweep(device, images, cameras, INVERSE_DEPTHS, **settings)
     costs = sweep.costs(0, range(1, count)).read()
     expected = oracle.zncc_costs(

@@ -30,7 +30,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.options import posed
-from tests.core_rasterizer.scenes import NAMES, Scene, random_scene, rates, weighted_loss
+from tests.core_rasterizer.scenes import NAMES, Scene, gradient, random_scene, rates, weighted_loss
 
 IN_THE_SUITE = 300
 SCENES = int(os.environ.get("STRESS_SCENES", IN_THE_SUITE))
@@ -100,7 +100,8 @@ def camera_of(numbers: dict[str, float], size: tuple[int, int]) -> Camera:
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, 3] = torch.tensor([numbers[axis] for axis in "xyz"], dtype=torch.float64)
     pose[0, 1] += numbers["pose"]
-    return Camera(pose, *(numbers[name] for name in ("fx", "fy", "cx", "cy")), *size)
+    fx, fy, cx, cy = (numbers[name] for name in ("fx", "fy", "cx", "cy"))
+    return Camera(pose, fx, fy, cx, cy, *size)
 
 
 def assert_finite(**tensors: torch.Tensor) -> None:
@@ -156,7 +157,7 @@ def test_the_function(
         return
     (loss_scale * weighted_loss(rendering, 0)).backward()
     event("something seen" if rendering.alpha.any() else "nothing seen")
-    gradients = {f"gradient of {name}": t.grad for name, t in zip(NAMES, leaves, strict=True)}
+    gradients = {f"gradient of {name}": gradient(t) for name, t in zip(NAMES, leaves, strict=True)}
     assert_finite(**images_of(rendering), **gradients)
 
 
@@ -205,8 +206,8 @@ def test_poses_and_filters(
         return
     (loss_scale * weighted_loss(rendering, 0)).backward()
     event("something seen" if rendering.alpha.any() else "nothing seen")
-    gradients = {f"gradient of {name}": t.grad for name, t in zip(NAMES, leaves, strict=True)}
-    assert_finite(**images_of(rendering), **gradients, pose=pose.grad.float())
+    gradients = {f"gradient of {name}": gradient(t) for name, t in zip(NAMES, leaves, strict=True)}
+    assert_finite(**images_of(rendering), **gradients, pose=gradient(pose).float())
 
 
 @stress

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ PIXEL_BUDGET = 1e-4
 class Golden:
     """A scene with its answer: inputs as leaves, and everything else from the file."""
 
-    inputs: dict[str, Tensor]
+    inputs: dict[str, Any]
     camera: Camera
     answer: dict[str, Tensor]
 
@@ -38,11 +39,11 @@ class Golden:
 def golden(request: pytest.FixtureRequest) -> Golden:
     with np.load(Path(data_folder("golden_render")) / f"{request.param}.npz") as file:
         arrays = {name: torch.from_numpy(file[name]) for name in file.files}
-    intrinsics = [float(arrays[name]) for name in ("fx", "fy", "cx", "cy")]
-    size = [int(arrays[name]) for name in ("width", "height")]
+    fx, fy, cx, cy = (float(arrays[name]) for name in ("fx", "fy", "cx", "cy"))
+    size = (int(arrays["width"]), int(arrays["height"]))
     return Golden(
         inputs={name: arrays[name].double().requires_grad_() for name in INPUTS},
-        camera=Camera(arrays["world_to_camera"], *intrinsics, *size),
+        camera=Camera(arrays["world_to_camera"], fx, fy, cx, cy, *size),
         answer=arrays,
     )
 
@@ -83,7 +84,7 @@ def simple_camera(width: int = 32, height: int = 24, cx: float | None = None) ->
     )
 
 
-def one_gaussian(**changes: list[float]) -> dict[str, Tensor]:
+def one_gaussian(**changes: list[float]) -> dict[str, Any]:
     """A grey ball in front of the camera, its centre on the centre of pixel (16, 12)."""
     values: dict[str, list[float]] = {
         "means": [0.05, 0.05, 3.0],
@@ -99,7 +100,7 @@ def one_gaussian(**changes: list[float]) -> dict[str, Tensor]:
     return {name: tensor.requires_grad_() for name, tensor in tensors.items()}
 
 
-def stacked(*scenes: dict[str, Tensor]) -> dict[str, Tensor]:
+def stacked(*scenes: dict[str, Tensor]) -> dict[str, Any]:
     return {name: torch.cat([scene[name] for scene in scenes]).detach() for name in INPUTS}
 
 
@@ -243,7 +244,10 @@ def test_gradients_agree_with_finite_differences() -> None:
     )
 
     def images(*tensors: Tensor) -> tuple[Tensor, ...]:
-        image = render(*tensors, camera, background=(0.2, 0.1, 0.4))
+        means, quaternions, scales, opacities, sh = tensors
+        image = render(
+            means, quaternions, scales, opacities, sh, camera, background=(0.2, 0.1, 0.4)
+        )
         return image.rgb, image.depth, image.alpha
 
     leaves = tuple(t.requires_grad_() for t in scene)

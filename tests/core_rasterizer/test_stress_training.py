@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -129,7 +130,8 @@ def test_densification_and_decay_in_one_iteration(device: Device) -> None:
         chosen = everything(model.count)
         if edit == "prune":
             chosen[5] = False
-        apply_edit(model, optimizer, Edit(**{edit: chosen}), seeded())
+        changes: dict[str, Any] = {edit: chosen}
+        apply_edit(model, optimizer, Edit(**changes), seeded())
         assert_of_one_length(model, optimizer)
         optimizer.step(RATES, active_sh_degree=3)
         assert all(torch.isfinite(model.read(name)).all() for name in PARAMETERS)

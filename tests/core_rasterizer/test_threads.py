@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Device, photometric_loss, rasterize
-from tests.core_rasterizer.scenes import random_camera, random_scene, weighted_loss
+from tests.core_rasterizer.scenes import gradient, random_camera, random_scene, weighted_loss
 
 THREADS, ROUNDS = 2, 25
 
@@ -46,12 +46,10 @@ def test_renders_in_threads_do_not_disturb_each_other(device: Device) -> None:
     cameras = [random_camera(generator, 90 + 70 * number, 80) for number in range(THREADS)]
 
     def work(number: int) -> list[Tensor]:
-        leaves = [
-            t.detach().clone().requires_grad_() for t in scenes[number].tensors(torch.float32)
-        ]
+        leaves = scenes[number].tensors(torch.float32)
         rendering = rasterize(*leaves, cameras[number], device=device)
         weighted_loss(rendering, number).backward()
-        return [rendering.rgb.detach(), rendering.depth.detach(), *(leaf.grad for leaf in leaves)]
+        return [rendering.rgb.detach(), rendering.depth.detach(), *map(gradient, leaves)]
 
     same_in_threads(work)
 
@@ -63,6 +61,6 @@ def test_losses_in_threads_do_not_disturb_each_other(device: Device) -> None:
         rgb = images[number, 0].clone().requires_grad_()
         loss = photometric_loss(rgb, images[number, 1], device=device)
         loss.backward()
-        return [loss.detach(), rgb.grad]
+        return [loss.detach(), gradient(rgb)]
 
     same_in_threads(work)

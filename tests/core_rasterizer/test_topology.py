@@ -90,7 +90,7 @@ def test_children_are_drawn_from_their_parent(device: Device) -> None:
     axes = rotation * gaussians.log_scales[0].double().exp()
     covariance = axes @ axes.T
     assert torch.allclose(
-        offsets.T @ offsets / len(offsets), covariance, atol=0.06 * covariance.max()
+        offsets.T @ offsets / len(offsets), covariance, atol=float(0.06 * covariance.max())
     )
     assert offsets.mean(0).norm() < 0.05 * covariance.trace().sqrt()
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -127,7 +128,7 @@ def test_a_name_that_builds_is_replaced_only_on_request(
     name = ctypes.create_string_buffer(b"znver3\0")
     handle = structure(ctypes.addressof(name))
     platform = SimpleNamespace(name="Portable Computing Language")
-    device = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
+    device: Any = SimpleNamespace(platform=platform, int_ptr=ctypes.addressof(handle))
     assert better_cpu_name(device) == "skx"
     assert not correct_cpu_name(device, only_unknown=True)
     assert (name.value, written_cpu_name(device)) == (b"znver3", None)

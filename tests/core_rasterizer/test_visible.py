@@ -67,7 +67,7 @@ def test_it_stays_right_when_frames_are_used_again(device: Device, gradient: boo
     # Copies without the graph, which alone keeps a frame from being used again.
     copies = [replace(each, rgb=each.rgb.detach().clamp(0, 1)) for each in renderings]
     if gradient:
-        sum(each.rgb.sum() for each in renderings).backward()
+        torch.stack([each.rgb.sum() for each in renderings]).sum().backward()
     bare = [replace(each, depth=each.rgb, alpha=each.rgb) for each in copies]
     del renderings, copies
     later = [model.render(view(seed)) for seed in range(4)]

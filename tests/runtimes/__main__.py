@@ -78,7 +78,7 @@ def tested(runtime: Runtime, environment: dict[str, str]) -> tuple[dict[str, Cou
     kernels = " or ".join(f"{variant}_kernels" for variant in runtime.variants)
     command = [sys.executable, "-m", "pytest", _TESTS, "-k", kernels, f"--junitxml={report}"]
     result = subprocess.run([*command, *_OPTIONS], cwd=ROOT, env=environment)
-    counts = {variant: Counter[str]() for variant in runtime.variants}
+    counts: dict[str, Counter[str]] = {variant: Counter[str]() for variant in runtime.variants}
     for case in ET.parse(report).iter("testcase"):
         for variant in runtime.variants:
             if f"{variant}_kernels" in case.get("name", ""):

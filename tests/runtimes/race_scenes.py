@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import replace
+from typing import Any
 
 import torch
 
@@ -75,8 +76,7 @@ def engine(device: Device) -> None:
     target = torch.full((SIDE, SIDE, 3), 0.5)
     plain = Camera(torch.eye(4), 70.0, 70.0, 36.0, 36.0, width=SIDE, height=SIDE)
     rendering = model.render(plain)
-    coverage = rendering.coverage
-    assert coverage is not None
+    coverage: Any = rendering.coverage
     tiles = coverage._tiles_covered.read(0, COUNT)
     assert int(tiles.max()) > 64, f"no Gaussian covers more than {int(tiles.max())} tiles"
     photometric_loss(rendering, target).backward()
@@ -126,13 +126,13 @@ def matching(device: Device) -> None:
     PatchMatch(device, greys, cameras, (2.0, 5.0), radius=1).maps([[1, 2], [0], [0, 1]])
 
 
-def without_barrier(name: str, number: int) -> None:
+def without_barrier(file: str, number: int) -> None:
     """Remove one barrier of a kernel file from all programs that are built later."""
     original = program._source
 
-    def source(file: str) -> str:
-        text = original(file)
-        if file != name:
+    def source(name: str) -> str:
+        text = original(name)
+        if name != file:
             return text
         barriers = list(re.finditer(r"\bbarrier\([^)]*\);?", text))
         start, end = barriers[number].span()

@@ -30,10 +30,10 @@ def dataset_of(views: Any, **cameras: Any) -> Any:
     lenses = [[view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy] for view in views]
     return nerfbaselines.new_dataset(
         cameras=nerfbaselines.new_cameras(
-            poses=np.float32(poses),
-            intrinsics=np.float32(lenses),
+            poses=np.array(poses, np.float32),
+            intrinsics=np.array(lenses, np.float32),
             camera_models=np.zeros(len(views), np.int32),
-            image_sizes=np.int32([[64, 48]] * len(views)),
+            image_sizes=np.array([[64, 48]] * len(views), np.int32),
             **cameras,
         ),
         image_paths=[f"/room/{view.name}.png" for view in views],
@@ -54,7 +54,7 @@ def method_class() -> Any:
 def test_it_trains_renders_saves_and_loads(
     scene: stereogs.Scene, method_class: Any, tmp_path: Path
 ) -> None:
-    limits = np.float32([scene.bounds] * len(scene.train))
+    limits = np.array([scene.bounds] * len(scene.train), np.float32)
     overrides = {
         "pipeline": "3dgs",
         "training.iterations": 100,

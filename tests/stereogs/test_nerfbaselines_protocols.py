@@ -116,11 +116,15 @@ def test_settings_from_the_command_line_are_strings() -> None:
     scene = stereogs.load_scene({**room, "initializer": "sfm"})
     dataset = nerfbaselines.new_dataset(
         cameras=nerfbaselines.new_cameras(
-            poses=np.float32([view.camera.camera_to_world[:3].numpy() for view in scene.train]),
-            intrinsics=np.float32([[v.camera.fx, v.camera.fy, 32, 24] for v in scene.train]),
+            poses=np.array(
+                [view.camera.camera_to_world[:3].numpy() for view in scene.train], np.float32
+            ),
+            intrinsics=np.array(
+                [[v.camera.fx, v.camera.fy, 32, 24] for v in scene.train], np.float32
+            ),
             camera_models=np.zeros(len(scene.train), np.int32),
-            image_sizes=np.int32([[64, 48]] * len(scene.train)),
-            nears_fars=np.float32([scene.bounds] * len(scene.train)),
+            image_sizes=np.array([[64, 48]] * len(scene.train), np.int32),
+            nears_fars=np.array([scene.bounds] * len(scene.train), np.float32),
         ),
         image_paths=[f"/room/{view.name}.png" for view in scene.train],
         image_paths_root="/room",

@@ -14,8 +14,8 @@ from registry.testing import step_of
 ComponentType = TypeVar("ComponentType", bound=Component[Any])
 
 
-def build(component: type[ComponentType], *, seed: int = 0, **settings: object) -> ComponentType:
-    """The component with these settings, validated."""
+def build(component: type[ComponentType], seed: int = 0, /, **settings: object) -> ComponentType:
+    """The component with these settings, validated; the run has the seed."""
     return component(component.Settings(**settings), Context("under test", seed, open_device()))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -36,11 +36,20 @@ Write = Callable[[Path], Settings]
 """Writes the files that a component needs into a folder, and returns settings that name them."""
 
 
+def mono_of(family: str) -> Write:
+    """The settings of a monocular network of a family."""
+    return lambda folder: {
+        "model": graphs.mono(folder / "m.onnx"),
+        "family": family,
+        "short_side": 56,
+    }
+
+
 class Wall(MultiViewDepthPrior):
     """The depth of the tiny scene's wall everywhere."""
 
     def estimate(
-        self, views: tuple[TrainingView, ...], bounds: tuple[float, float]
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
     ) -> list[DepthMap]:
         """Return it for each view."""
         known = [torch.ones(view.image.shape[:2], dtype=torch.bool) for view in views]
@@ -102,14 +111,7 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     ),
     "priors.onnx_mvs": (lambda folder: {"model": graphs.pick(folder / "m.onnx", "K", (0, 0, 0))},),
     "priors.onnx_stereo": (lambda folder: {"model": graphs.matcher(folder / "m.onnx")},),
-    "priors.onnx_mono": tuple(
-        lambda folder, family=family: {
-            "model": graphs.mono(folder / "m.onnx"),
-            "family": family,
-            "short_side": 56,
-        }
-        for family in ("depth_anything_v2", "dpt")
-    ),
+    "priors.onnx_mono": tuple(map(mono_of, ("depth_anything_v2", "dpt"))),
     "regularizers.stereo_depth": (
         needs_nothing,
         lambda folder: {"refresh_threshold": 0.0, "tau": 1.0},
@@ -118,8 +120,9 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "densification.gradient_threshold": (needs_nothing,),
     "opacity.opacity_reset": (needs_nothing,),
     "opacity.constant_decay": (needs_nothing,),
-    "opacity.gradient_aware_decay": tuple(
-        lambda folder, scope=scope: {"scope": scope} for scope in ("all", "contributing")
+    "opacity.gradient_aware_decay": (
+        lambda folder: {"scope": "all"},
+        lambda folder: {"scope": "contributing"},
     ),
     "metrics.psnr": (lambda folder: {"quantize": "png8"},),
     "metrics.ssim": (lambda folder: {"quantize": "png8"},),

@@ -58,6 +58,7 @@ def test_an_iteration_moves_no_image_and_waits_five_times(
     assert traffic.launches <= LAUNCHES[variant], traffic
     assert not traffic.fills, traffic
     # Every render used the arrays of the one before, which the last one still holds.
+    assert isinstance(trainer.model, GaussianModel)
     assert not trainer.model.renderer._frames
     # An edit moves no parameters of Gaussians but those that its policy looks at. The first call of a policy,
     # in iteration 4, is also checked for writes to its inputs.

@@ -1,1 +1,1 @@
-"""Train planned runs, each in its own process."""
+"""Train many planned runs with a runner, by default each in its own process."""

@@ -9,16 +9,14 @@ from tests.fuzzing.formats.scenes import SCENES
 from tests.fuzzing.formats.texts import PipelineFiles, ResultsFiles
 from tests.fuzzing.target import Target
 
-TARGETS: dict[str, type[Target]] = {
-    target.name: target
-    for target in (
-        *SCENES,
-        Images,
-        PointFiles,
-        PipelineFiles,
-        ResultsFiles,
-        Checkpoints,
-        PriorAnswers,
-        OnnxFiles,
-    )
-}
+_ALL: tuple[type[Target], ...] = (
+    *SCENES,
+    Images,
+    PointFiles,
+    PipelineFiles,
+    ResultsFiles,
+    Checkpoints,
+    PriorAnswers,
+    OnnxFiles,
+)
+TARGETS = {target.name: target for target in _ALL}

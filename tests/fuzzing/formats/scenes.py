@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -41,7 +40,7 @@ class SceneFiles(Target):
 
     loader: ClassVar[type[SceneLoader[Any]]]
     settings: ClassVar[dict[str, Any]] = {}
-    writer: ClassVar[Callable[[Path], object]]
+    writer: ClassVar[Any]
     damaged: ClassVar[tuple[str, ...]]
 
     def __init__(self, folder: Path) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from rich.table import Table
 
-from registry.messages.terminal import PlainConsole, visible
+from registry.messages.terminal import PlainConsole
+from registry.messages.visible_text import visible
 from stereogs import RunOptions
 from tests.host import main
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from core_rasterizer import ExplainedError
 from registry import PluginError
 from registry.pipeline.pipeline import Pipeline, load_pipeline, parse_pipeline
 from tests.host import PipelineError, Plugins
@@ -43,9 +44,9 @@ training:
 """
 
 
-def refused(text: str, plugins: Plugins, **changes: list[str]) -> PipelineError | PluginError:
+def refused(text: str, plugins: Plugins, **changes: list[str]) -> ExplainedError:
     with pytest.raises((PipelineError, PluginError)) as caught:
-        parse_pipeline(text, plugins, source="a.yaml", **changes)  # type: ignore[arg-type]
+        parse_pipeline(text, plugins, source="a.yaml", **changes)
     return caught.value
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from registry import PluginError, Settings, View
+from registry import PluginError, Settings, TrainingView
 from registry.priors import (
     DepthMap,
     Matches,
@@ -84,7 +84,9 @@ def test_one_view_is_too_few() -> None:
 
 
 class TooMany(Middle):
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         return super().estimate(views, bounds)[:1]
 
 

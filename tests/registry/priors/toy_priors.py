@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import open_device
-from registry import Context, Prior, Settings, View
+from registry import Context, Prior, Settings, TrainingView
 from registry.priors import (
     DepthMap,
     Matches,
@@ -46,7 +46,9 @@ class Middle(MultiViewDepthPrior[Settings]):
 
     calls = 0
 
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         self.calls += 1
         maps = []
         for view in views:

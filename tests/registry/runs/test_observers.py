@@ -81,7 +81,7 @@ class Recorder(r.Observer):
     def __init__(self, settings: r.Settings, context: r.Context) -> None:
         super().__init__(settings, context)
         self.told: list[Any] = []
-        self.started = self.iterated = self.evaluated = self.ended = self.told.append  # type: ignore[method-assign]
+        self.started = self.iterated = self.evaluated = self.ended = self.told.append  # type: ignore[method-assign, assignment]
 
 
 def recorded(pipeline: Pipeline, device: Device, out: Path | None) -> tuple[Run, list[Any]]:

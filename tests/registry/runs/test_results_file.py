@@ -11,6 +11,7 @@ import pytest
 from registry import RunError
 from registry.runs.folder import RunFolder
 from registry.runs.results import read_results
+from registry.testing import tiny_scene
 from stereogs_plugins.reports.html import HtmlReport
 from tests.host import main, to_yaml
 from tests.stereogs.experiments.comparing.conftest import PIPELINE, changed
@@ -128,7 +129,7 @@ def test_forged_results_are_refused(
     assert "is inconsistent" in said
     assert "\x1b" not in said
     with pytest.raises(RunError, match="is inconsistent"):
-        build(HtmlReport).write(run, None)
+        build(HtmlReport).write(run, tiny_scene())
 
 
 @pytest.mark.parametrize(

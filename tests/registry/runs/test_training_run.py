@@ -273,9 +273,11 @@ def test_a_file_that_cannot_be_written_names_the_run_and_how_to_continue(
     toys: Plugins, device: Device, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    options = RunOptions(
-        device=device, progress=False, on_begin=lambda _: (out / RENDERS).write_text("in the way")
-    )
+
+    def begin(_: Run) -> None:
+        (out / RENDERS).write_text("in the way")
+
+    options = RunOptions(device=device, progress=False, on_begin=begin)
     with pytest.raises(RunError, match="cannot be written") as caught:
         start_run(pipeline(toys), options, out)
     assert caught.value.where == str(out)

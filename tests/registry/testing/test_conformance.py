@@ -270,7 +270,7 @@ class Trainer(toys.ToyExporter):
 class Replacing(toys.ToyTerm):
     def loss(self, step: r.Step) -> torch.Tensor:
         answer = super().loss(step)
-        step.iteration += 1
+        step.iteration += 1  # type: ignore[misc]
         return answer
 
 

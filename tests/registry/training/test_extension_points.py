@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -132,7 +133,8 @@ def test_a_term_stepped_alone_has_its_own_step(make: Make) -> None:
     alone = make("regularizers: [{use: toy_shape, step: alone}]\n")
     for trainer in (together, alone):
         train(trainer)
-    steps = [trainer.fields[0].optimizer.steps for trainer in (together, alone)]
+    optimizers: list[Any] = [trainer.fields[0].optimizer for trainer in (together, alone)]
+    steps = [optimizer.steps for optimizer in optimizers]
     assert steps == [6, 12]
 
 

@@ -32,9 +32,10 @@ def make(toys: Plugins, device: Device) -> Any:
 
 def poison(trainer: Trainer, rows: slice, columns: slice | list[int], value: float) -> None:
     """Write a value into parameters without the checks of `GaussianModel.write`."""
-    parameters = trainer.model.parameters.read().clone()
+    model: Any = trainer.model
+    parameters = model.parameters.read().clone()
     parameters[rows, columns] = value
-    trainer.model.adopt(parameters, trainer.model.count)
+    model.adopt(parameters, model.count)
 
 
 def train(trainer: Trainer) -> list[Iteration]:

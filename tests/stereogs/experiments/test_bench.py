@@ -117,7 +117,7 @@ class InThisProcess(Runner[Settings]):
     def places(self) -> int:
         return 3
 
-    def start_run(self, task: TrainingTask) -> RunningTask:
+    def start(self, task: TrainingTask) -> RunningTask:
         self.at_work += 1
         self.most = max(self.most, self.at_work)
         return _Task(task, self)
@@ -176,7 +176,7 @@ def test_any_runner_trains_a_plan(toys: Plugins, device: Device, tmp_path: Path)
 
 def test_an_error_of_a_runner_names_it(toys: Plugins, device: Device, tmp_path: Path) -> None:
     class Broken(InThisProcess):
-        def start_run(self, task: TrainingTask) -> RunningTask:
+        def start(self, task: TrainingTask) -> RunningTask:
             raise ZeroDivisionError("nowhere to go")
 
     offer = Offer(RUNNER, "broken", Broken, "broken", "a package", "1")

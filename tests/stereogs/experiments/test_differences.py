@@ -11,8 +11,9 @@ import pytest
 from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.showing.page import as_page
+from stereogs.experiments.showing.score_table import ScoreTable
 from stereogs.experiments.showing.scores import difference
-from stereogs.experiments.showing.table import ScoreTable, as_text, difference_table
+from stereogs.experiments.showing.table import as_text, difference_table
 from tests.host import Plugins
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write

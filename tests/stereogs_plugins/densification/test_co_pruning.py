@@ -47,6 +47,7 @@ def test_what_has_nothing_within_the_distance_goes() -> None:
         near = [(torch.cdist(own, other).amin(dim=1) < distance) for other in (one, two)]
         assert edit.prune is not None
         assert torch.equal(edit.prune, ~(near[0] & near[1]))
+    assert edit.prune is not None
     assert not edit.prune.any()
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, open_device
-from registry import Context, PointCloud, Scene, Settings, View
+from registry import Context, PointCloud, Scene, Settings, TrainingScene, TrainingView, View
 from registry.priors import DepthMap, MultiViewDepthPrior
 from stereogs_plugins.initializers.consistency_dense.projection import DepthImage
 from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
@@ -57,18 +58,25 @@ def known(view: View, depth: DepthImage) -> ViewDepth:
 class FixedDepth(MultiViewDepthPrior[Settings]):
     """Returns the depth that a function gives for each view."""
 
-    depth_of: Callable[[View], Tensor]
+    depth_of: Callable[[Any], Tensor]
 
-    def estimate(self, views: Sequence[View], bounds: tuple[float, float]) -> list[DepthMap]:
+    def estimate(
+        self, views: Sequence[TrainingView], bounds: tuple[float, float]
+    ) -> list[DepthMap]:
         depths = [self.depth_of(view) for view in views]
         return [DepthMap(d, torch.isfinite(d) & (d > 0), torch.ones_like(d)) for d in depths]
 
 
-def prior_of(depth_of: Callable[[View], Tensor]) -> FixedDepth:
+def prior_of(depth_of: Callable[[Any], Tensor]) -> FixedDepth:
     """A prior that returns `depth_of(view)`."""
     prior = FixedDepth(Settings(), Context("fixed", 0, open_device()))
     prior.depth_of = depth_of
     return prior
+
+
+def as_it_is(scene: Scene) -> TrainingScene:
+    """The scene with its true depth, which the priors of these tests answer."""
+    return cast(TrainingScene, scene)
 
 
 def true_depth(view: View) -> Tensor:

@@ -40,7 +40,9 @@ def test_registers_as_ply() -> None:
 
 
 def test_a_point_cloud(tmp_path: Path, scene: Scene) -> None:
-    points = build(PlyInitializer, path=cloud(tmp_path / "fused.ply")).initialize(scene, {})
+    points = build(PlyInitializer, path=cloud(tmp_path / "fused.ply")).initialize(
+        scene.for_training(), {}
+    )
     assert torch.equal(points.positions, POSITIONS)
     torch.testing.assert_close(points.colors, COLORS, atol=1 / 255, rtol=0)
 
@@ -48,14 +50,14 @@ def test_a_point_cloud(tmp_path: Path, scene: Scene) -> None:
 def test_a_gaussian_scene(tmp_path: Path, scene: Scene) -> None:
     gaussians = Gaussians.from_points(POSITIONS, COLORS, torch.ones(2), torch.full((2,), 0.5), 3)
     save_ply(gaussians, tmp_path / "scene.ply")
-    points = build(PlyInitializer, path=tmp_path / "scene.ply").initialize(scene, {})
+    points = build(PlyInitializer, path=tmp_path / "scene.ply").initialize(scene.for_training(), {})
     assert torch.equal(points.positions, POSITIONS)
     torch.testing.assert_close(points.colors, COLORS)
 
 
 def test_unusable_files_are_errors(tmp_path: Path, scene: Scene) -> None:
     def initialize(path: Path) -> None:
-        build(PlyInitializer, path=path).initialize(scene, {})
+        build(PlyInitializer, path=path).initialize(scene.for_training(), {})
 
     with pytest.raises(PlyError, match="cannot be opened"):
         initialize(tmp_path / "absent.ply")

@@ -19,7 +19,7 @@ def test_registers_as_random() -> None:
 
 
 def test_points_lie_in_a_frustum_and_have_its_colors(scene: Scene) -> None:
-    points = build(RandomInitializer, count=3000).initialize(scene, {})
+    points = build(RandomInitializer, count=3000).initialize(scene.for_training(), {})
     assert len(points) == 3000
     explained = torch.zeros(3000, dtype=torch.bool)
     for view in scene.train:
@@ -37,7 +37,7 @@ def test_points_lie_in_a_frustum_and_have_its_colors(scene: Scene) -> None:
 
 def test_inverse_depth_is_uniform(scene: Scene) -> None:
     single = Scene("one", scene.train[:1], (), (1.0, 10.0))
-    points = build(RandomInitializer, count=20_000).initialize(single, {})
+    points = build(RandomInitializer, count=20_000).initialize(single.for_training(), {})
     pose = single.train[0].camera.world_to_camera
     inverse = 1 / (points.positions.double() @ pose[2, :3] + pose[2, 3])
     shares = torch.histc(inverse.float(), bins=9, min=0.1, max=1.0) / 20_000
@@ -46,7 +46,7 @@ def test_inverse_depth_is_uniform(scene: Scene) -> None:
 
 def test_one_seed_one_result(scene: Scene) -> None:
     first, again, other = (
-        build(RandomInitializer, seed=seed, count=50).initialize(scene, {}).positions
+        build(RandomInitializer, seed, count=50).initialize(scene.for_training(), {}).positions
         for seed in (1, 1, 2)
     )
     assert torch.equal(first, again)

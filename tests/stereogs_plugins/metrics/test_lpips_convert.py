@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -64,7 +65,10 @@ def save(features: nn.Sequential, path: Path) -> Path:
 
 
 def run(file: Path, image: Tensor) -> list[np.ndarray]:
-    return onnxruntime.InferenceSession(file).run(None, {"image": image.numpy()})
+    answers: list[np.ndarray] = onnxruntime.InferenceSession(file).run(
+        None, {"image": image.numpy()}
+    )
+    return answers
 
 
 @pytest.mark.parametrize("network", NETWORKS)
@@ -89,7 +93,8 @@ def test_what_is_printed_is_a_metric_that_measures(
     (printed,) = yaml.safe_load(capsys.readouterr().out)
     assert printed.pop("use") == "lpips"
     heads = tmp_path / "heads.npz"
-    np.savez(heads, **{f"lin{k}": np.ones(c) for k, c in enumerate((64, 192, 384, 256, 256))})
+    ones: dict[str, Any] = {f"lin{k}": np.ones(c) for k, c in enumerate((64, 192, 384, 256, 256))}
+    np.savez(heads, **ones)
     metric = build(LPIPS, **printed, heads=heads, heads_sha256=sha256(heads))
     image = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(2))
     assert metric.measure(image, image, None) == 0
@@ -109,7 +114,9 @@ def test_published_weights_give_the_features_of_the_known_file(
     numbers = [n for n, layer in enumerate(torchvisions(network)) if isinstance(layer, nn.Conv2d)]
     tensors = {}
     for count, number in enumerate(numbers):
-        kernel = constants.get(f"w.{count}", constants.get(f"w.{count}_h")).astype(np.float32)
+        kernel = constants[name if (name := f"w.{count}") in constants else f"{name}_h"].astype(
+            np.float32
+        )
         tensors[f"features.{number}.weight"] = torch.from_numpy(kernel)
         tensors[f"features.{number}.bias"] = torch.from_numpy(constants[f"b.{count}"].copy())
     torch.save(tensors, tmp_path / "weights.pth")

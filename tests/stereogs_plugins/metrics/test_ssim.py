@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import correlate
+from scipy.ndimage import correlate  # type: ignore[attr-defined]
 from torch import Tensor
 
 from core_rasterizer import photometric_loss

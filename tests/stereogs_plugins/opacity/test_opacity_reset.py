@@ -18,9 +18,11 @@ def test_is_offered_as_opacity_reset() -> None:
 def test_lowers_to_the_ceiling_and_forgets_the_moments() -> None:
     step = step_with(some_gaussians([0.05, 0.05], [0.8, 0.006]))
     update = build(OpacityReset).update(step)
+    assert update is not None
     torch.testing.assert_close(update.opacities, torch.tensor([0.01, 0.006]))
     assert update.reset_moments
     higher = build(OpacityReset, ceiling=0.05).update(step)
+    assert higher is not None
     torch.testing.assert_close(higher.opacities, torch.tensor([0.05, 0.006]))
 
 

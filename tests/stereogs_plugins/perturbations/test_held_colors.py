@@ -15,7 +15,9 @@ SETTINGS = TrainingSettings(iterations=100, sh_degree=1)
 def model() -> GaussianModel:
     points = tiny_scene().points
     assert points is not None
-    return new_model(initial_gaussians(points, SETTINGS), SETTINGS, open_device())
+    made = new_model(initial_gaussians(points, SETTINGS), SETTINGS, open_device())
+    assert isinstance(made, GaussianModel)
+    return made
 
 
 def held(count: int) -> torch.Tensor:

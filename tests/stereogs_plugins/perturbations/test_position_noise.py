@@ -54,8 +54,6 @@ def test_the_published_numbers_leave_opaque_ones_where_they_are() -> None:
 
 def test_one_seed_gives_the_same_noise() -> None:
     step = step_with(some_gaussians([0.1] * 3, [0.01] * 3))
-    first, again, other = (
-        build(PositionNoise, seed=seed).offsets(step)["means"] for seed in (1, 1, 2)
-    )
+    first, again, other = (build(PositionNoise, seed).offsets(step)["means"] for seed in (1, 1, 2))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -41,7 +42,7 @@ class Graph:
         self._constants.append(numpy_helper.from_array(np.array(values, dtype), name))
         return name
 
-    def __call__(self, operator: str, *inputs: str, **attributes: object) -> str:
+    def __call__(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """The first output of a new node."""
         name = f"value{len(self._nodes)}"
         self._nodes.append(helper.make_node(operator, inputs, [name], **attributes))

@@ -56,7 +56,7 @@ def test_the_seed_of_the_run_does_not_matter() -> None:
     """A prior's answers are kept for all runs."""
     scene = tiny_scene()
     first, second = (
-        build(PatchMatchPrior, seed=seed).depths(scene.train, scene.bounds) for seed in (0, 1)
+        build(PatchMatchPrior, seed).depths(scene.train, scene.bounds) for seed in (0, 1)
     )
     for one, other in zip(first, second, strict=True):
         assert torch.equal(one.depth, other.depth)

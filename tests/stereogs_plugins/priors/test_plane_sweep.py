@@ -74,7 +74,7 @@ def test_confidence_separates_right_from_wrong_depths(room: Scene, answers: list
 
 
 def test_two_runs_give_the_same_bits(room: Scene, answers: list[DepthMap]) -> None:
-    again = build(PlaneSweep, planes=PLANES, seed=1).depths(room.train, room.bounds)
+    again = build(PlaneSweep, 1, planes=PLANES).depths(room.train, room.bounds)
     for one, other in zip(answers, again, strict=True):
         assert torch.equal(one.depth, other.depth)
         assert torch.equal(one.confidence, other.confidence)

@@ -73,5 +73,5 @@ def test_other_families_are_described_as_they_are() -> None:
         assert f"`{mvs.images}`" in row(name)
         assert f"multiples of {mvs.multiple} " in row(name)
         assert f"| `{name}` | `{mvs.depth}` | `{mvs.confidence}` |" in TEXT
-    for name, mono in onnx_mono.FAMILIES.items():
-        assert f"| {mono.short_side} | {mono.multiple} |" in row(name)
+    for other, mono in onnx_mono.FAMILIES.items():
+        assert f"| {mono.short_side} | {mono.multiple} |" in row(other)

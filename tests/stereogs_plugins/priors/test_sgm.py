@@ -7,7 +7,7 @@ from pathlib import Path
 import pydantic
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
 from torch import Tensor
 
 from registry import PluginError

@@ -32,7 +32,9 @@ def test_matches_lie_on_epipolar_lines(procedural_room: Scene) -> None:
     assert first.depth is not None
     column, row = found.first.long().unbind(dim=1)
     depth = first.depth[row, column]
-    u, v, _ = second.camera.project(first.camera.unproject(*found.first.unbind(dim=1), depth))
+    u, v, _ = second.camera.project(
+        first.camera.unproject(found.first[:, 0], found.first[:, 1], depth)
+    )
     wrong = (torch.stack([u, v], dim=1) - found.second).norm(dim=1)
     assert (wrong < 1.5).float().mean() > 0.7
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from core_rasterizer import GaussianModel, open_device
+from core_rasterizer import Model, open_device
 from registry import PluginError, Step
 from registry.testing import check, step_of, tiny_scene
-from registry.toolkit.views import virtual_views
-from stereogs_plugins.regularizers.pearson_depth import SOLID, PearsonDepth, correlation
+from registry.toolkit.views import SOLID, virtual_views
+from stereogs_plugins.regularizers.pearson_depth import PearsonDepth, correlation
 from tests.host import PARAMETERS, TrainingSettings, initial_gaussians, new_model
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.regularizers.monocular import Brightness, DifferentiableBrightness
@@ -23,7 +23,7 @@ def random(*shape: int) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
 
 
-def moment(prior: Brightness) -> tuple[Step, GaussianModel]:
+def moment(prior: Brightness) -> tuple[Step, Model]:
     scene, settings = tiny_scene(), TrainingSettings(sh_degree=0)
     assert scene.points is not None
     model = new_model(initial_gaussians(scene.points, settings), settings, open_device())

@@ -80,7 +80,7 @@ def step_on(model: GaussianModel, *views: View) -> Step:
 
 
 def loss_of(step: Step, **settings: object) -> float:
-    return float(build(VirtualStereo, seed=1, **settings).loss(step).detach())
+    return float(build(VirtualStereo, 1, **settings).loss(step).detach())
 
 
 def patches() -> torch.Tensor:
@@ -92,7 +92,7 @@ def test_a_wall_at_its_depth_agrees_with_its_photograph_from_both_sides() -> Non
     photograph = patches().contiguous()
     step, _ = wall(photograph)
     for seed in range(4):
-        loss = build(VirtualStereo, seed=seed, max_shift=0.8, smoothness=0.0).loss(step)
+        loss = build(VirtualStereo, seed, max_shift=0.8, smoothness=0.0).loss(step)
         assert float(loss.detach()) < 0.02  # blur; half a pixel of error would make more than 0.03
 
 
@@ -118,7 +118,7 @@ def test_a_refined_camera_does_not_change_the_baseline() -> None:
     views = [View(f"{d}", step.view.camera.shifted_right(d), step.view.image) for d in (0.0, 2.0)]
     several = step_on(model, *views)
     refined = replace(several.sample, camera=several.sample.camera.shifted_right(0.5))
-    unit = build(VirtualStereo, seed=1, unit="baseline")._unit(replace(several, sample=refined))
+    unit = build(VirtualStereo, 1, unit="baseline")._unit(replace(several, sample=refined))
     assert unit == pytest.approx(2.0)
 
 
@@ -155,7 +155,7 @@ def test_its_gradient_moves_the_gaussians_as_finite_differences_say(
 ) -> None:
     step, model = wall(patches().contiguous())
     model.zero_gradients()
-    build(VirtualStereo, seed=1, **settings).loss(step).backward()
+    build(VirtualStereo, 1, **settings).loss(step).backward()
     means = model.read("means").clone()
     direction = random(1200, 3) - 0.5
     along = float((model.gradient("means") * direction).sum())

@@ -96,7 +96,7 @@ def planned(folder: Path, plugins: Plugins) -> MatrixPlan:
 
 def trained(
     plan: MatrixPlan, folder: ExperimentFolder, runner: str, device: Device, plugins: Plugins
-) -> Outcome:
+) -> Outcome[Any]:
     written = parse_yaml(runner, "runner", has_lines=False)
     with folder.locked():
         return train_all(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -35,7 +36,8 @@ def test_bands_come_by_fractions_as_freenerfs_do() -> None:
         sh_degree = 3
 
     step = step_at(300)
-    step = replace(step, model=Third())
+    model: Any = Third()
+    step = replace(step, model=model)
     # FreeNeRF: pointer (L / 3) t / T of L bands in thirds; a third of the way shows a third of them.
     degree = build(CoarseToFine, until=0.9).sample(step, step.sample).sh_degree
     assert degree == pytest.approx(1.0)

@@ -23,7 +23,7 @@ def shrunk(step: Step, image: torch.Tensor, shrink: int) -> Sample:
     height, width = image.shape[:2]
     camera = step.sample.camera.resized(width, height)
     sample = replace(step.sample, camera=camera, target=image)
-    return check_sample(build(ResolutionSchedule, shrink=shrink).sample(step, sample), 1)
+    return check_sample(build(ResolutionSchedule, shrink=shrink).sample(step, sample), step, sample)
 
 
 def test_it_keeps_the_contract() -> None:

@@ -88,7 +88,8 @@ class World:
 
     def camera_to_world_opengl(self, index: int) -> Array:
         """Columns right, up, backwards."""
-        return np.linalg.inv(self.pose(index)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        turned: Any = np.linalg.inv(self.pose(index)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        return np.asarray(turned, np.float64)
 
     def save_photographs(self, folder: Path, names: list[str]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -171,7 +172,7 @@ def write_dtu(folder: Path, world: World) -> Path:
     intrinsics = np.eye(4)
     intrinsics[0, [0, 2]] = world.focal * zoom, cx * zoom - 0.5
     intrinsics[1, [1, 2]] = world.focal * zoom, cy * zoom - 0.5
-    matrices = {}
+    matrices: dict[str, Any] = {}
     for index in range(DTU_VIEWS):
         Image.fromarray(dtu_mask(world)).save(folder / "mask" / f"{index:03d}.png")
         world_mat = intrinsics @ world.pose(index) @ np.linalg.inv(scale)

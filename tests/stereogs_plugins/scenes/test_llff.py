@@ -75,7 +75,7 @@ def test_split_is_the_published_one(
 
 @pytest.mark.parametrize(("count", "test"), [(7, []), (8, [0]), (17, [0, 8, 16])])
 def test_from_eight_photographs_on_every_eighth_tests(count: int, test: list[int]) -> None:
-    assert SplitSettings().split(count, "")[1] == test
+    assert SplitSettings.model_validate({}).split(count, "")[1] == test
 
 
 def test_unused_photographs_are_counted(caplog: pytest.LogCaptureFixture) -> None:
@@ -86,7 +86,7 @@ def test_unused_photographs_are_counted(caplog: pytest.LogCaptureFixture) -> Non
 
 def test_a_split_without_training_views() -> None:
     with pytest.raises(SceneError) as caught:
-        SplitSettings(test_every=1).split(9, "")
+        SplitSettings(train_views=None, test_every=1).split(9, "")
     assert caught.value.fix == "raise `test_every`"
 
 
@@ -300,11 +300,12 @@ def test_real_points_have_the_colors_of_the_photographs(name: str, count: int) -
     scene = load(data_folder(name))
     assert scene.points is not None
     assert len(scene.points) == count
-    right, wrong = [], []
+    right: list[float] = []
+    wrong: list[float] = []
     for view, other in zip(scene.train, scene.train[1:] + scene.train[:1], strict=True):
         for camera, errors in ((view.camera, right), (other.camera, wrong)):
             difference = colors_at(view, camera, scene.points.positions) - scene.points.colors
-            errors.append(difference.abs().mean(dim=1).median())
+            errors.append(float(difference.abs().mean(dim=1).median()))
     assert max(right) < 0.08
     assert min(wrong) > 2 * max(right)
 

@@ -99,7 +99,7 @@ def test_noise_has_the_given_size() -> None:
 
 
 def test_the_same_settings_give_the_same_bits(small: Scene) -> None:
-    again = build(ProceduralScene, seed=77, **SMALL).load()  # the run's seed does not matter
+    again = build(ProceduralScene, 77, **SMALL).load()  # the run's seed does not matter
     for first, second in zip(small.train + small.test, again.train + again.test, strict=True):
         assert torch.equal(first.image, second.image)
         assert first.depth is not None
@@ -111,8 +111,7 @@ def test_the_same_settings_give_the_same_bits(small: Scene) -> None:
 
 
 def test_another_seed_moves_the_furniture(small: Scene) -> None:
-    settings = ProceduralScene.Settings(seed=1, **SMALL)
-    other = ProceduralScene(settings, build(ProceduralScene).context).load()
+    other = build(ProceduralScene, **{**SMALL, "seed": 1}).load()
     assert not torch.equal(small.train[0].image, other.train[0].image)
     assert (small.train[0].camera.world_to_camera == other.train[0].camera.world_to_camera).all()
 
@@ -148,7 +147,8 @@ def test_a_ball_is_one_radius_nearer_than_its_center_and_hides_what_is_behind() 
     wall = Rectangle(
         np.array([-9.0, -9.0, 4.0]), np.array([18.0, 0, 0]), np.array([0, 18.0, 0]), WHITE
     )
-    for surfaces in ([ball, wall], [wall, ball]):
+    orders: list[list[Rectangle | Sphere]] = [[ball, wall], [wall, ball]]
+    for surfaces in orders:
         _, depth = cast(surfaces, CAMERA)
         assert depth[8, 10] == pytest.approx(2.5)
         assert depth[0, 0] == pytest.approx(4.0)

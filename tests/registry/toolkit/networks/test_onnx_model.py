@@ -58,7 +58,7 @@ def test_the_setting_selects_the_threads(path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(onnxruntime, "InferenceSession", watched)
     assert OnnxModelSettings(model=path, threads=3).open().threads == 3
     assert threads == [3]
-    assert OnnxModelSettings(model=path).open().threads == threads[1] >= 1
+    assert OnnxModelSettings(model=path, threads=None).open().threads == threads[1] >= 1
 
 
 @pytest.mark.parametrize("result", [FLOAT, HALF, LONG])

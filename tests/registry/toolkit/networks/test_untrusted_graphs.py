@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -40,7 +41,7 @@ def apart(tensor: TensorProto) -> None:
     entry.value, entry.key = "../secret", "location"
 
 
-def in_a_branch(model: onnx.ModelProto) -> TensorProto:
+def in_a_branch(model: onnx.ModelProto) -> Any:
     """A tensor in the subgraph of a node."""
     constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
     branch = helper.make_graph(
@@ -51,14 +52,14 @@ def in_a_branch(model: onnx.ModelProto) -> TensorProto:
     return model.graph.node[-1].attribute[0].g.node[0].attribute[0].t
 
 
-def sparse(model: onnx.ModelProto) -> TensorProto:
+def sparse(model: onnx.ModelProto) -> Any:
     """The values of a sparse tensor."""
     added = model.graph.sparse_initializer.add()
     added.values.CopyFrom(numpy_helper.from_array(np.ones(3, np.float32), "s"))
     return added.values
 
 
-def in_a_function(model: onnx.ModelProto) -> TensorProto:
+def in_a_function(model: onnx.ModelProto) -> Any:
     """A tensor in a local function of the model."""
     constant = helper.make_node("Constant", [], ["c"], value=numpy_helper.from_array(np.ones(3)))
     function = helper.make_function("own", "F", [], ["c"], [constant], [])

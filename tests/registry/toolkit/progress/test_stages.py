@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import random
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -162,7 +163,8 @@ def test_lines_without_a_terminal(clock: Clock) -> None:
             assert module.STAGES.current is not None
             assert module.STAGES.current.done == pair
         assert in_parallel(abs, [-1, 2, -3], stage="depth") == [1, 2, 3]
-        assert (module.STAGES.current.name, module.STAGES.current.done) == ("depth", 3)
+        assert (current := module.STAGES.current) is not None
+        assert (current.name, current.done) == ("depth", 3)
     lines = file.getvalue().splitlines()
     assert lines[:2] == ["matching  0/66", "matching  10/66  0:56 left"]
     assert lines[-2:] == ["matching  60/66  0:06 left", "depth     0/3"]
@@ -191,7 +193,7 @@ def test_the_bar_fits_into_the_terminal(width: int, clock: Clock) -> None:
             for done in range(1, 31):
                 clock.now += 1
                 module.progress("training", done, 600)
-            (display,) = module.STAGES.displays
+            display: Any = module.STAGES.displays[0]
             bar = display.bar().plain
     assert len(bar) < width
     assert bar.startswith("training  ━─────────"[: width - 1])
@@ -203,7 +205,7 @@ def test_letters_stand_for_the_bar_where_the_terminal_has_no_lines(clock: Clock)
     file = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     with showing(Console(file=file, force_terminal=True, color_system=None)):
         module.progress("matching", 33, 66)
-        (display,) = module.STAGES.displays
+        display: Any = module.STAGES.displays[0]
         assert display.bar().plain == "matching  ##########---------- 33/66"
 
 

@@ -11,7 +11,8 @@ import viser
 import zstandard
 from numpy.typing import NDArray
 from PIL import Image
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
 WINDOW = (96, 72)
@@ -19,7 +20,7 @@ WINDOW = (96, 72)
 
 def visit(
     url: str, origin: Origin | None = None, headers: dict[str, str] | None = None
-) -> ClientConnection:
+) -> Connection:
     """Open the page's connection, as a page of that origin."""
     protocol = Subprotocol(f"viser-v{viser.__version__}")
     return connect(
@@ -32,7 +33,7 @@ def visit(
 
 
 def move(
-    page: ClientConnection,
+    page: Connection,
     position: tuple[float, ...],
     quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
 ) -> None:
@@ -53,7 +54,7 @@ def move(
     page.send(msgspec.msgpack.encode(message))
 
 
-def change(page: ClientConnection, control: str, value: object) -> None:
+def change(page: Connection, control: str, value: object) -> None:
     """Set a control of the panel, by viser's identifier."""
     update = {"type": "GuiUpdateMessage", "uuid": control, "updates": {"value": value}}
     page.send(msgspec.msgpack.encode(update))
@@ -68,7 +69,7 @@ class Received:
         picture: the last one received, `[H, W, 3]`; None if the server removed it.
     """
 
-    def __init__(self, page: ClientConnection) -> None:
+    def __init__(self, page: Connection) -> None:
         self._page = page
         self.controls: dict[str, str] = {}
         self.nodes: set[str] = set()

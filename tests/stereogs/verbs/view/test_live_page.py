@@ -6,6 +6,7 @@ import threading
 from argparse import Namespace
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ class Visitor:
 
     def __init__(self) -> None:
         self.pages: list[LivePage] = []
-        self.pictures: list[np.ndarray] = []  # type: ignore[type-arg]
+        self.pictures: list[np.ndarray] = []
         self.ended = threading.Event()
 
     def begin(self, run: Run) -> None:
@@ -92,7 +93,12 @@ def test_without_an_open_page_nothing_is_copied() -> None:
     def begin(run: Run) -> None:
         pages.append(LivePage(run, 0))
         kept = run.checkpoint
-        run.checkpoint = lambda: (copies.append(run.iteration), kept())[1]
+
+        def counted() -> Any:
+            copies.append(run.iteration)
+            return kept()
+
+        run.checkpoint = counted
 
     stereogs.train(
         PIPELINE, progress=False, on_begin=begin, callback=lambda done: pages[0].update(done)

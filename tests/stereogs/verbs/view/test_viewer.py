@@ -68,13 +68,13 @@ def serve_until(viewer: Viewer, received: Received, true: Callable[[], bool]) ->
         received.read()
 
 
-def green(picture: np.ndarray | None) -> float:  # type: ignore[type-arg]
+def green(picture: np.ndarray | None) -> float:
     """The mean green of the right half."""
     assert picture is not None
     return float(picture[:, picture.shape[1] // 2 :, 1].mean())
 
 
-def is_grey(picture: np.ndarray | None) -> bool:  # type: ignore[type-arg]
+def is_grey(picture: np.ndarray | None) -> bool:
     return picture is not None and bool((np.ptp(picture, axis=2) < 8).all())
 
 

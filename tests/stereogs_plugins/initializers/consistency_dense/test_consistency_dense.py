@@ -21,6 +21,7 @@ from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.initializers.consistency_dense.dense import COMPLETE, dense
 from tests.stereogs_plugins.initializers.depth_scenes import (
+    as_it_is,
     camera_towards_origin,
     distance_to_surface,
     plane_depth,
@@ -86,8 +87,8 @@ def test_pictures_show_photograph_and_three_depths(scene: Scene) -> None:
 
 def test_the_cap_is_kept_and_one_seed_gives_one_choice(scene: Scene) -> None:
     def points(seed: int) -> PointCloud:
-        component = build(ConsistencyDense, seed=seed, max_points=1000, sigma=1.0)
-        return component.initialize(scene, {"depth": prior_of(true_depth)})
+        component = build(ConsistencyDense, seed, max_points=1000, sigma=1.0)
+        return component.initialize(as_it_is(scene), {"depth": prior_of(true_depth)})
 
     first, again, other = points(1), points(1), points(2)
     assert len(first) == first.facts["points_by_kind"]["confirmed"] == 1000
@@ -132,11 +133,11 @@ def test_an_unconfirmed_view_is_reported(scene: Scene, caplog: pytest.LogCapture
 
 def test_a_prior_is_needed(scene: Scene) -> None:
     with pytest.raises(PluginError, match="multi_view_depth"):
-        build(ConsistencyDense).initialize(scene, {})
+        build(ConsistencyDense).initialize(as_it_is(scene), {})
     priors = {name: prior_of(true_depth) for name in ("one", "two")}
     with pytest.raises(PluginError, match="2 priors"):
-        build(ConsistencyDense).initialize(scene, priors)
-    assert len(build(ConsistencyDense, prior="two").initialize(scene, priors)) > 1000
+        build(ConsistencyDense).initialize(as_it_is(scene), priors)
+    assert len(build(ConsistencyDense, prior="two").initialize(as_it_is(scene), priors)) > 1000
 
 
 def test_several_priors_fill_the_holes_of_each_other(scene: Scene) -> None:
@@ -152,7 +153,7 @@ def test_several_priors_fill_the_holes_of_each_other(scene: Scene) -> None:
 
     def confirmed(*names: str) -> float:
         component = build(ConsistencyDense, prior=names, stride=3)
-        points = component.initialize(scene, priors)
+        points = component.initialize(as_it_is(scene), priors)
         assert distance_to_surface(scene, points).quantile(0.999) < 0.02
         return float(points.facts["views"][scene.train[1].name]["consistent"])
 
@@ -174,7 +175,7 @@ def test_three_real_photographs() -> None:
         stride=3,
         sigma=0.5,
         **COMPLETE,
-    ).initialize(scene, {"plane_sweep": build(PlaneSweep)})
+    ).initialize(as_it_is(scene), {"plane_sweep": build(PlaneSweep)})
     assert 20_000 < len(points) < 90_000
     for facts in points.facts["views"].values():
         assert facts["consistent"] > 0.55
@@ -278,7 +279,7 @@ def test_each_kind_of_scene_can_have_its_own_priors() -> None:
     )
 
     def found(scene: Scene) -> float:
-        return float(component.initialize(scene, priors).positions[:, 2].mean())
+        return float(component.initialize(as_it_is(scene), priors).positions[:, 2].mean())
 
     def under_blue(rows: int, scene: Scene) -> Scene:
         image = torch.rand(40, 60, 3, generator=torch.Generator().manual_seed(0))

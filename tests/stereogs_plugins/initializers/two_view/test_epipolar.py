@@ -33,7 +33,7 @@ def test_distance_is_that_to_the_epipolar_line() -> None:
     here, there, z = some_points()
     ends = []
     for depth in (0.9 * z, 1.1 * z):  # two places on the ray, as the other camera shows them
-        u, v, _ = SECOND.project(FIRST.unproject(*here.unbind(1), depth))
+        u, v, _ = SECOND.project(FIRST.unproject(here[:, 0], here[:, 1], depth))
         ends.append(torch.stack([u, v], dim=1))
     along = (ends[1] - ends[0]) / (ends[1] - ends[0]).norm(dim=1, keepdim=True)
     across = torch.stack([-along[:, 1], along[:, 0]], dim=1)
@@ -45,7 +45,7 @@ def test_distance_is_that_to_the_epipolar_line() -> None:
 def test_sensitivity_is_the_change_of_depth_along_the_line() -> None:
     here, there, z = some_points()
     step = 1e-4 * z
-    u, v, _ = SECOND.project(FIRST.unproject(*here.unbind(1), z + step))
+    u, v, _ = SECOND.project(FIRST.unproject(here[:, 0], here[:, 1], z + step))
     pixels = (torch.stack([u, v], dim=1) - there).norm(dim=1)
     found = intersect(FIRST, SECOND, here, there)
     torch.testing.assert_close(found.sensitivity, step / pixels, rtol=0.01, atol=0)

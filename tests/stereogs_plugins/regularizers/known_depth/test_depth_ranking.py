@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -14,7 +16,7 @@ SLOPE = torch.linspace(1, 2, 40, dtype=torch.float64)[None, :].expand(30, 40).co
 
 def test_it_keeps_the_contract() -> None:
     check(DepthRanking, priors={"mono": build(Brightness)})
-    mvpgs = {"pairs": 512, "reach": None, "margin": 0.0, "continuity": 0.0}
+    mvpgs: dict[str, Any] = {"pairs": 512, "reach": None, "margin": 0.0, "continuity": 0.0}
     check(DepthRanking, priors={"mono": build(Brightness)}, **mvpgs)
 
 

@@ -10,7 +10,7 @@ import torch
 from registry import PluginError
 from stereogs_plugins.regularizers.known_depth.estimate import Farness
 from tests.stereogs_plugins.initializers.depth_scenes import prior_of
-from tests.stereogs_plugins.regularizers.known_depth.steps import step_with_depth
+from tests.stereogs_plugins.regularizers.known_depth.steps import FixedInverseDepth, step_with_depth
 
 
 @pytest.fixture(autouse=True)
@@ -22,6 +22,7 @@ def test_a_monocular_prior_is_asked_first_and_once_a_view() -> None:
     nearness = torch.rand(4, 5)
     step = step_with_depth(torch.ones(4, 5), inverse_depth=nearness)
     mono = step.priors["mono"]
+    assert isinstance(mono, FixedInverseDepth)
     step = replace(step, priors={"depth": prior_of(lambda view: torch.ones(4, 5)), "mono": mono})
     farness = Farness(None)
     for _ in range(3):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -46,7 +47,7 @@ def test_a_small_array_by_hand() -> None:
 
 @pytest.mark.parametrize("form", ["local", "global"])
 @pytest.mark.parametrize("side", [2, 3, 5])
-def test_patches_are_normalized_as_written(form: str, side: int) -> None:
+def test_patches_are_normalized_as_written(form: Literal["local", "global"], side: int) -> None:
     image = torch.rand(13, 17, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     found = Patches(image, torch.ones_like(image, dtype=torch.bool), side)
     wanted = normalized(image, side, form)

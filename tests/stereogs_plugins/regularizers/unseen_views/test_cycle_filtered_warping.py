@@ -31,7 +31,7 @@ def step_before_wall(depth_of_virtual: float, gain: float = 1.0, apart: float = 
     step = replace(step, scene=Scene("wall", views, (), (1.0, 10.0)).for_training())
     known = {float(c.center[0]) for c in cameras}
 
-    def render(camera: Camera, *, gradient: bool = True) -> Rendering:
+    def render(camera: Camera, *, gradient: bool = True, **_: object) -> Rendering:
         real = not gradient and float(camera.center[0]) in known
         depth = torch.full((40, 60), WALL if real else depth_of_virtual)
         alpha = torch.full((40, 60), 0.8)
@@ -95,7 +95,7 @@ def test_gradients_reach_colours_and_depth() -> None:
     made = []
     inner = step.render
 
-    def render(camera: Camera, *, gradient: bool = True) -> Rendering:
+    def render(camera: Camera, *, gradient: bool = True, **_: object) -> Rendering:
         made.append(inner(camera, gradient=gradient))
         return made[-1]
 

@@ -17,7 +17,7 @@ from tests.stereogs_plugins.building import build, some_gaussians, step_with
 def step_that_renders(depth: Tensor, alpha: Tensor, iteration: int = 500) -> Step:
     step = step_with(some_gaussians([0.1], [0.5]), iteration=iteration)
 
-    def render(camera: Camera) -> Rendering:
+    def render(camera: Camera, **_: object) -> Rendering:
         return Rendering(torch.zeros(*depth.shape, 3), depth, alpha)
 
     return replace(step, render=render)

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 import torch
 
-from core_rasterizer import photometric_loss
+from core_rasterizer import Camera, GaussianReader, Rendering, photometric_loss
 from registry import PluginError, Step
 from registry.testing import check
 from registry.toolkit.views import virtual_views
@@ -50,14 +51,17 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
     moved.write("means", moved.read("means") + 0.2)
     asked = []
 
-    def elsewhere(camera, *, background):
+    def elsewhere(
+        camera: Camera, *, background: Sequence[float] | None = None, **_: object
+    ) -> Rendering:
         asked.append(camera)
+        assert background is not None
         return moved.render(camera, background=background)
 
     other, rendering = step.others[0], step.rendering
-    moved_field = type(other)(1, moved.reader(), other.rendering, elsewhere)
+    moved_field = type(other)(1, GaussianReader(moved), other.rendering, elsewhere)
     step.rendered(lambda: rendering, (moved_field,))
-    loss = build(FieldAgreement, seed=3).loss(step)
+    loss = build(FieldAgreement, 3).loss(step)
     (camera,) = asked
     generator = torch.Generator().manual_seed(3)
     drawn = virtual_views.draw("box", step.scene, generator)

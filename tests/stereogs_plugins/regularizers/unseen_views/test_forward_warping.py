@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from core_rasterizer import Rendering, open_device, photometric_loss
+from core_rasterizer import Camera, Rendering, open_device, photometric_loss
 from registry import PluginError
 from registry.priors import DepthMap
 from registry.testing import check
@@ -23,7 +23,7 @@ def test_it_keeps_the_contract() -> None:
 
 def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
     step = Bench(open_device(), {}).after_render()
-    loss = build(ForwardWarping, seed=4).loss(step)
+    loss = build(ForwardWarping, 4).loss(step)
     camera = virtual_views.draw("box", step.scene, torch.Generator().manual_seed(4))
     near = min(step.scene.train, key=lambda v: float((v.camera.center - camera.center).norm()))
     known = step.maps[near.name]
@@ -38,7 +38,7 @@ def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
 def test_a_render_that_shows_the_warped_photograph_costs_nothing() -> None:
     step = Bench(open_device(), {}).after_render()
 
-    def perfect(camera):
+    def perfect(camera: Camera, **_: object) -> Rendering:
         near = min(step.scene.train, key=lambda v: float((v.camera.center - camera.center).norm()))
         known = step.maps[near.name]
         image, seen = forward_splat(near.camera, near.image, known.depth, known.valid, camera)

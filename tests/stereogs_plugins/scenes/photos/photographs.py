@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,6 +56,7 @@ def turn(model: Model, image: int, axis: Sequence[float], degrees: float) -> Non
     half = np.radians(degrees) / 2
     turned = colmap.Rotation3d(np.array([*np.sin(half) * np.array(axis), np.cos(half)]))
     pose = frame.rig_from_world
+    assert pose is not None
     frame.rig_from_world = colmap.Rigid3d(turned * pose.rotation, turned * pose.translation)
 
 
@@ -67,7 +69,7 @@ def angles(turns: Sequence[Array] | Array) -> Array:
 
 def relative_turns(found: Sequence[Array], truth: Sequence[Array]) -> Array:
     """Errors of the rotations `[3, 3]` between each two cameras, degrees."""
-    pairs = zip(*np.triu_indices(len(found), 1), strict=True)
+    pairs = itertools.combinations(range(len(found)), 2)
     return angles([truth[b] @ truth[a].T @ (found[b] @ found[a].T).T for a, b in pairs])
 
 

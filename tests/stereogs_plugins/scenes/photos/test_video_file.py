@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from registry import SceneError
@@ -22,7 +23,7 @@ PHOTOGRAPHS, COPIES = 5, 3
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Real photographs of a moving camera, each in three frames, the middle one of them blurred."""
     paths = sorted((data_folder("llff_fern") / "images_8").iterdir())[: 4 * PHOTOGRAPHS : 4]
-    pictures = [cv2.imread(str(path)) for path in paths]
+    pictures = [np.asarray(cv2.imread(str(path))) for path in paths]
     path = tmp_path_factory.mktemp("videos") / "fern clip.mp4"
     height, width = pictures[0].shape[:2]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (width, height))

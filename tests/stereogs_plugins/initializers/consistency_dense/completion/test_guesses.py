@@ -17,6 +17,7 @@ from stereogs_plugins.initializers.sfm import SfmInitializer
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.initializers.consistency_dense.dense import COMPLETE, dense
 from tests.stereogs_plugins.initializers.depth_scenes import (
+    as_it_is,
     true_depth,
 )
 
@@ -66,7 +67,7 @@ def test_matched_features_replace_points_if_little_is_confirmed(
     assert f"starts from {len(points)} matched features" in caplog.text
     assert points.facts["points_by_kind"] == {"matched": len(points)}
     assert points.kinds["matched"].all()
-    sparse = build(SfmInitializer, source="triangulate").initialize(scene, {})
+    sparse = build(SfmInitializer, source="triangulate").initialize(as_it_is(scene), {})
     assert torch.equal(points.positions, sparse.positions)
     assert torch.equal(points.colors, sparse.colors)
     assert points.scales is points.opacities is None  # as `sfm` has them

@@ -11,6 +11,7 @@ from PIL import Image
 from registry import Scene, SceneError
 from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
+from stereogs_plugins.scenes.photos.photogrammetry.matching import matchings
 from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_DEVIATION
 from stereogs_plugins.scenes.photos.photogrammetry.two_view import rotation_error
 from tests.data import data_folder
@@ -56,8 +57,9 @@ def write(scene: Scene, folder: Path, views: list[Array]) -> None:
 def test_photographs_from_one_position(
     room: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kinds = structure_from_motion.matchings
-    monkeypatch.setattr(structure_from_motion, "matchings", lambda *some: kinds(*some)[:1])  # SIFT
+    monkeypatch.setattr(
+        structure_from_motion, "matchings", lambda *some: matchings(*some)[:1]
+    )  # SIFT
     write(room, tmp_path, [homography(degrees) for degrees in (0, 5, 10)])
     with pytest.raises(SceneError) as caught:
         load(tmp_path)

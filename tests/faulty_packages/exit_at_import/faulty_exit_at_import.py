@@ -1,5 +1,0 @@
-"""It ends the program while it is imported."""
-
-import sys
-
-sys.exit(3)

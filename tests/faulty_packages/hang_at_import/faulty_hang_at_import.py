@@ -1,5 +1,0 @@
-"""It never comes back from its import."""
-
-import time
-
-time.sleep(3600)

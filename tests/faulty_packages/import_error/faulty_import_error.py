@@ -1,3 +1,0 @@
-"""It fails while it is imported."""
-
-1 / 0  # noqa: B018

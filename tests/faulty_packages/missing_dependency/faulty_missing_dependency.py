@@ -1,3 +1,0 @@
-"""It needs a package that is not there."""
-
-import a_package_that_nobody_has  # noqa: F401
