@@ -19,7 +19,6 @@ from stereogs.verbs.check.scene_picture import (
     TRAIN_COLOR,
     WIDTH,
     make_plan,
-    round_step,
     scene_picture,
 )
 from tests.host import (
