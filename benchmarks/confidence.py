@@ -161,8 +161,7 @@ def _reliability(records: Sequence[Mapping[str, Any]]) -> str:
 def summary(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the documentation: means over scenes and seeds."""
     rows = [[f"`{name}`", *_row(records, name)[:-1]] for name in ESTIMATORS]
-    text = markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
-    return f"{text}\n{_reliability(records)}"
+    return markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
 
 
 def left_out(seed: int = 0) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -38,11 +38,9 @@ from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import 
 from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
-PAGE = pages.DOCS / "your_own_photographs.md"
 FILE = RECORDS / "photos.jsonl"
 SETS = ("near 3", "3", "4", "near 6", "6", "8", "12")
 """Neighbouring pictures from the first third on, or evenly spaced ones; cheapest first."""
-_MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
 _MATCHING_SIZE = 1200
 
 
@@ -158,27 +156,6 @@ def read_records() -> dict[tuple[str, str, bool], CameraRecord]:
     return found
 
 
-def summary(records: dict[tuple[str, str, bool], CameraRecord]) -> str:
-    """Return pictures placed and the largest rotation error, a row per scene and kind of search."""
-
-    def cell(scene: str, chosen: str, networks: bool) -> str:
-        record = records.get((scene, chosen, networks))
-        if record is None:
-            return ""
-        if record.errors is None:
-            return f"{record.placed if record.placed >= MIN_PHOTOS else 0}"
-        return f"{record.placed}, {record.errors.rotation[1]:.1f}°"
-
-    measured = [s for s in SETS if any(record.chosen == s for record in records.values())]
-    rows = [
-        [scene, kind, *(cell(scene, chosen, networks) for chosen in measured)]
-        for scene in SCENES
-        for networks, kind in ((False, "SIFT"), (True, "with networks"))
-        if any(record.case[::2] == (scene, networks) for record in records.values())
-    ]
-    return markdown(["pictures of", "matches", *measured], rows, names=2)
-
-
 def table(records: Iterable[CameraRecord]) -> str:
     """Return every record with all of its errors."""
     rows = []
@@ -223,9 +200,8 @@ def main() -> None:
             records[case] = record
             append(asdict(record), FILE)
     listed = sorted(records.values(), key=lambda r: (SCENES.index(r.scene), SETS.index(r.chosen)))
-    print(summary(records))
+    print(table(listed))
     if arguments.write_docs:
-        pages.rewrite(PAGE, _MARKS, summary(records))
         pages.write_tables("photos", "Cameras of few pictures", "bench-photos", table(listed))
 
 
