@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from registry.testing.scenes import pipeline_item, pipeline_of
     from registry.toolkit.cache.entries import FOLDER_VARIABLE
     from registry.toolkit.cache.keys import module_digest
-    from registry.toolkit.drawing.axis_ticks import round_step as round_step
+    from registry.toolkit.drawing.axis_ticks import round_step
     from registry.toolkit.drawing.pictures import save_view_pictures
     from registry.toolkit.networks.model_file import check_content
     from registry.toolkit.progress.stages import Stages

@@ -27,6 +27,7 @@ from tests.host import (
     parse_command,
     points_in_view,
     recognize,
+    round_step,
     summary,
     typical_depth,
     warnings,
