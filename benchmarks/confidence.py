@@ -32,7 +32,7 @@ from benchmarks.trainings import PIPELINES
 from registry import Scene, View
 from registry.calls.process_state import one_torch_thread
 from registry.runs.run import Run
-from registry.toolkit.views import predicted_psnr
+from registry.toolkit.images import predicted_psnr
 from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 

@@ -24,6 +24,7 @@ from benchmarks import pages
 from benchmarks.photos_published import SCENES, Published, pictures
 from benchmarks.photos_scored import psnr_of_both
 from benchmarks.records import RECORDS, append, lines
+from registry.toolkit.networks import MODELS_VARIABLE
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
@@ -33,7 +34,6 @@ from registry.toolkit.photos import (
 )
 from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
-from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
 from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
@@ -103,9 +103,9 @@ def measure(scene: str, chosen: str, networks: bool) -> CameraRecord | None:
         return None
     rows = range(first, first + count) if first else evenly_spaced(list(range(len(photos))), count)
     photos = [photos[k] for k in rows]
-    models = os.environ[FOLDER_VARIABLE] if networks else ""
+    models = os.environ[MODELS_VARIABLE] if networks else ""
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {FOLDER_VARIABLE: models}):
+    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {MODELS_VARIABLE: models}):
         decoder = Decoder(longest_side(_MATCHING_SIZE), "box", upright=True)
         found = reconstruct(photos, decoder, True, Path(name))
         seconds = round(time.process_time() - start, 1)
@@ -182,7 +182,7 @@ def main() -> None:
     parser.add_argument("--write-docs", action="store_true", help="also write the tables")
     parser.add_argument("--finished", action="store_true", help="use only records that exist")
     arguments = parser.parse_args()
-    for variable in ("STEREOGS_DATA", FOLDER_VARIABLE):
+    for variable in ("STEREOGS_DATA", MODELS_VARIABLE):
         if not os.environ.get(variable):
             raise SystemExit(f"set {variable} (docs/your_own_photographs.md)")
     records = read_records()

@@ -14,7 +14,7 @@ import torch
 
 from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 from stereogs.experiments.showing.score_table import markdown
 
 TARGET = "bench-priors"

@@ -22,7 +22,8 @@ def check_comparable(runs: Sequence[FinishedRun]) -> None:
 
     Raises:
         RunError: two runs have different protocols, or no protocol and different scenes; a scene was split or
-            prepared in two ways; or a metric was measured with different settings.
+            prepared in two ways, or has other test photographs or cameras; or a metric was measured with
+            different settings.
     """
     for other in runs[1:]:
         _check_protocol(runs[0], other)
@@ -107,6 +108,16 @@ def _check_scene(first: FinishedRun, other: FinishedRun) -> None:
     if key is not None:
         what = f"the scene {first.scene!r} differs in `{key}`: {one.get(key)} and {two.get(key)}"
         raise _not_comparable(first, other, what)
+    # Folders of one name may hold other photographs, and cameras may have been estimated again.
+    for view in first.results["scene"]["test"]:
+        for part in ("photograph", "camera"):
+            one_digest, other_digest = (
+                r.inputs.get(f"the {part} of {view}") for r in (first, other)
+            )
+            if one_digest and other_digest and one_digest != other_digest:
+                what = f"the {part} of the test view {view} of {first.scene!r} differs"
+                fix = "train both on the same photographs and cameras"
+                raise _not_comparable(first, other, what, fix)
 
 
 def _check_metrics(first: FinishedRun, other: FinishedRun) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,14 @@ class FinishedRun:
         results: the content of results.json.
         tree: its pipeline as plain values, and `packages` of plugins that trained it.
         method: the pipeline without the scene's path, the seed, and sections that do not affect training.
+        inputs: digests of photographs and cameras by their name, see `input_digests`; empty for an old run.
     """
 
     folder: Path
     results: Mapping[str, Any]
     tree: Mapping[str, Any]
     method: str
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def pipeline(self) -> str:
@@ -111,7 +113,7 @@ def read_run(path: Path) -> FinishedRun:
         for name, package in results.get("packages", {}).items()
         if name.partition(".")[0] not in _NOT_TRAINED
     }
-    return FinishedRun(path, results, tree, _method(tree))
+    return FinishedRun(path, results, tree, _method(tree), run.inputs()[0] or {})
 
 
 def _method(pipeline: Mapping[str, Any]) -> str:

@@ -66,7 +66,7 @@ def _differences(own: _Values, same: Sequence[_Values]) -> Iterator[str]:
             continue
         if setting == "use":
             replaced.add(component)
-            if not component.startswith(_AFTER_TRAINING) and not _too_short_for(component, same):
+            if not component.startswith(_AFTER_TRAINING):
                 yield _component(component, own.get(key))
         elif key in own and not _follows_length(key, same):
             text = _text(own[key])
@@ -82,33 +82,25 @@ def _component(path: str, use: str | None) -> str:
 
 def _follows_length(key: str, same: Sequence[_Values]) -> bool:
     """Return whether a setting is the same share of the iterations in all runs, up to rounding."""
-    if key.split(".")[-1] not in _SCALED:
+    component, _, setting = key.rpartition(".")
+    if setting not in _SCALED:
         return False
-    pairs = {(other[key], other[_LENGTH]) for other in same if key in other}
+    due = [other for other in same if not _never_due(component, other)]
+    pairs = {(other[key], other[_LENGTH]) for other in due if key in other}
     if not all(isinstance(value, int) for value, _ in pairs):
         return False
     if len({length for _, length in pairs}) < len(pairs):
         return False  # runs of one length differ
+    if len({value for value, _ in pairs}) <= 1:
+        return len(due) < len(same)  # it differs only where the component is never due
     least, most = (max((v - 1) / n for v, n in pairs), min((v + 1) / n for v, n in pairs))
     return bool(least <= most)
 
 
-def _too_short_for(component: str, same: Sequence[_Values]) -> bool:
-    """Return whether a component is off only where the run is so short that its schedule is empty."""
-    uses = {other.get(f"{component}.use") for other in same}
-    scheduled = [other for other in same if f"{component}.use" in other]
-    shares = [
-        (other[f"{component}.start"], other[f"{component}.stop"] / other[_LENGTH])
-        for other in scheduled
-        if isinstance(other.get(f"{component}.stop"), int)
-    ]
-    lengths = [other[_LENGTH] for other in same if f"{component}.use" not in other]
-    return (
-        len(uses) == 2
-        and bool(lengths)
-        and len(shares) == len(scheduled)
-        and all(share * length < start for start, share in shares for length in lengths)
-    )
+def _never_due(component: str, values: _Values) -> bool:
+    """Return whether a run is so short that the schedule of a component is empty."""
+    start = values.get(f"{component}.start")
+    return isinstance(start, int) and start > int(values[_LENGTH])
 
 
 def _named_lists(value: Any) -> Any:

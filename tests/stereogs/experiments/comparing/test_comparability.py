@@ -10,7 +10,7 @@ import pytest
 from registry import RunError
 from stereogs.experiments.comparing.comparability import check_comparable
 from stereogs.experiments.comparing.comparison import read_run
-from tests.host import AppliedProtocol, load_protocol, main
+from tests.host import AppliedProtocol, RunFolder, load_protocol, main
 from tests.stereogs.experiments.comparing.conftest import Capture, Make, runs
 
 
@@ -60,6 +60,18 @@ def test_runs_of_one_protocol_are_compared(make: Make) -> None:
 )
 def test_runs_that_are_not_comparable(make: Make, changes: dict[str, Any], message: str) -> None:
     assert message in refusal(make("a"), make("b", changes)).what
+
+
+@pytest.mark.parametrize("part", ["photograph", "camera"])
+def test_other_test_photographs_and_cameras_are_not_comparable(make: Make, part: str) -> None:
+    folders = [make("a"), make("b"), make("c")]
+    view = read_run(folders[0]).results["scene"]["test"][0]
+    name = f"the {part} of {view}"
+    for folder, digest in zip(folders[:2], ("1f", "2e"), strict=True):
+        RunFolder(folder).write_inputs({name: digest}, [])
+    with pytest.raises(RunError, match=rf"{name.replace(' of ', ' of the test view ')}.* differs"):
+        runs(*folders[:2])
+    runs(folders[0], folders[2])  # a run of an older version has no digests
 
 
 def test_title_and_notes_of_a_protocol_may_change(make: Make) -> None:
