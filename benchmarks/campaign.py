@@ -98,9 +98,9 @@ class Campaign(Generic[AnyTraining]):
         title: Heading of its file of tables.
         data: Data sets that it needs.
         plan: Returns all trainings, in order.
-        page: Page in `docs` that shows the summary, between marks.
-        summary: Makes the summary from the records.
         tables: Makes all tables from the records and the number of planned trainings.
+        page: Page in `docs` that shows the summary, between marks; None: no page.
+        summary: Makes the summary from the records.
         finish: Called at the end with the records and the folder of outputs.
         picture: Draws the records into a folder: that of outputs, or that of `docs`.
         target: Target of the Makefile.
@@ -110,9 +110,9 @@ class Campaign(Generic[AnyTraining]):
     title: str
     data: Sequence[str]
     plan: Callable[[Plugins], list[AnyTraining]]
-    page: str
-    summary: Callable[[Sequence[Record[AnyTraining]]], str]
     tables: Callable[[Sequence[Record[AnyTraining]], int], str]
+    page: str | None = None
+    summary: Callable[[Sequence[Record[AnyTraining]]], str] | None = None
     finish: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
     picture: Callable[[Sequence[Record[AnyTraining]], Path], None] | None = None
     target: str = ""
@@ -132,7 +132,7 @@ class Campaign(Generic[AnyTraining]):
         parser.add_argument("--jobs", type=int, default=1, help="trainings at a time (%(default)s)")
         parser.add_argument("--finished", action="store_true", help="use only records that exist")
         parser.add_argument(
-            "--write-docs", action="store_true", help=f"rewrite the tables and {self.page}"
+            "--write-docs", action="store_true", help="rewrite the tables and the page"
         )
         return parser.parse_args()
 
@@ -171,4 +171,5 @@ class Campaign(Generic[AnyTraining]):
         """Write the file of tables, and the summary into its page."""
         target = self.target or self.name
         write_tables(self.name, self.title, target, text)
-        rewrite(DOCS / self.page, marks(target), self.summary(found))
+        if self.page is not None and self.summary is not None:
+            rewrite(DOCS / self.page, marks(target), self.summary(found))

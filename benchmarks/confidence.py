@@ -32,7 +32,7 @@ from benchmarks.trainings import PIPELINES
 from registry import Scene, View
 from registry.calls.process_state import one_torch_thread
 from registry.runs.run import Run
-from registry.toolkit.views import predicted_psnr
+from registry.toolkit.images import predicted_psnr
 from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.confidence.estimators.calibrated import CalibratedConfidence, Evidence
 
@@ -161,8 +161,7 @@ def _reliability(records: Sequence[Mapping[str, Any]]) -> str:
 def summary(records: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the documentation: means over scenes and seeds."""
     rows = [[f"`{name}`", *_row(records, name)[:-1]] for name in ESTIMATORS]
-    text = markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
-    return f"{text}\n{_reliability(records)}"
+    return markdown(["estimator", "AUSE MAE", "AUSE RMSE", "AUROC", "rank"], rows)
 
 
 def left_out(seed: int = 0) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -2,7 +2,7 @@
 
 Switches each approximation and each skip alone and measures its time and its error. Prints tables and writes
 `benchmarks/out/error.json`; with `--write-docs` also `benchmarks/tables/error.md` and the summary and
-picture in `docs/run_time.md`. Default and variant take turns, so a busy machine slows both.
+picture of `docs/run_time.md`. Default and variant take turns, so a busy machine slows both.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Results of `benchmarks.error` as tables, and a summary and picture in `docs`."""
+"""Results of `benchmarks.error` as tables, and a picture in `docs`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from benchmarks import pages
 from stereogs.experiments.showing.score_table import markdown
 
 TARGET = "bench-error"
-PAGE = pages.DOCS / "run_time.md"
 PICTURE = pages.DOCS / "images" / "engine_error.png"
 
 COLUMNS = (
@@ -65,39 +64,14 @@ def tables(result: dict[str, Any]) -> str:
 
 
 def write_docs(result: dict[str, Any]) -> tuple[Path, ...]:
-    """Write the tables, the summary and the picture, which shows the last scene; return their paths."""
+    """Write the tables and the picture, which shows the last scene; return their paths."""
     from benchmarks.error_picture import draw  # the tables do without matplotlib
 
     scenes = result["scenes"]
     file = pages.write_tables("error", "Run time against error", TARGET, tables(result))
-    pages.rewrite(PAGE, pages.marks(TARGET), summary(scenes))
     name, scene = list(scenes.items())[-1]
     draw(scene, f"{name}, {scene['gaussians']:,} Gaussians, {result['device']}", PICTURE)
-    return file, PAGE, PICTURE
-
-
-def summary(scenes: dict[str, Any]) -> str:
-    """Return one table: time and error of each setting that is not the default, in each scene."""
-    columns = ("time", "image 99.9 %", "gradient")
-    headings = [
-        "switch",
-        "setting",
-        *(f"{name}, {column}" for column in columns for name in scenes),
-    ]
-    of_scenes = [scene["rows"] for scene in scenes.values()]
-    defaults = {row["switch"]: row["setting"] for row in of_scenes[0] if row["default"]}
-    rows = [
-        [
-            f"{settings[0]['switch']} ({defaults[settings[0]['switch']]})",
-            settings[0]["setting"],
-            *(f"{row['time_ratio']:.2f}" for row in settings),
-            *(_small(row["image_999"]) for row in settings),
-            *(_small(row["gradient"]) for row in settings),
-        ]
-        for settings in zip(*of_scenes, strict=True)
-        if not settings[0]["default"]
-    ]
-    return markdown(headings, rows, names=2)
+    return file, PICTURE
 
 
 def _headline(name: str, scene: dict[str, Any]) -> str:

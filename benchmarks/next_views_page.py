@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks import pages
 from stereogs.experiments.showing.score_table import markdown
 
+TARGET = "bench-next"
 PAGE = pages.DOCS / "next_photograph.md"
 SUGGESTED, RANDOM = "suggested", "random"
 STEPS = (1, 2, 3)
@@ -101,6 +102,6 @@ def interval(values: Sequence[float], digits: int = 2) -> str:
 
 
 def write_page(measured: Sequence[Measured]) -> None:
-    """Write both tables into the page."""
-    text = f"{summary(measured)}\n{table(measured)}"
-    pages.rewrite(PAGE, pages.marks("bench-next"), text)
+    """Write the summary into the page, and the table of the scenes."""
+    pages.rewrite(PAGE, pages.marks(TARGET), summary(measured))
+    pages.write_tables("next_views", "The next photograph", TARGET, table(measured))

@@ -24,6 +24,7 @@ from benchmarks import pages
 from benchmarks.photos_published import SCENES, Published, pictures
 from benchmarks.photos_scored import psnr_of_both
 from benchmarks.records import RECORDS, append, lines
+from registry.toolkit.networks import MODELS_VARIABLE
 from registry.toolkit.photos import (
     ColmapModel,
     Decoder,
@@ -33,16 +34,13 @@ from registry.toolkit.photos import (
 )
 from stereogs.experiments.showing.score_table import markdown
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_index
-from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import FOLDER_VARIABLE
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import reconstruct
 from stereogs_plugins.scenes.photos.photogrammetry.thresholds import MIN_PHOTOS
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto
 
-PAGE = pages.DOCS / "your_own_photographs.md"
 FILE = RECORDS / "photos.jsonl"
 SETS = ("near 3", "3", "4", "near 6", "6", "8", "12")
 """Neighbouring pictures from the first third on, or evenly spaced ones; cheapest first."""
-_MARKS = ("<!-- cameras: begin -->", "<!-- cameras: end -->")
 _MATCHING_SIZE = 1200
 
 
@@ -105,9 +103,9 @@ def measure(scene: str, chosen: str, networks: bool) -> CameraRecord | None:
         return None
     rows = range(first, first + count) if first else evenly_spaced(list(range(len(photos))), count)
     photos = [photos[k] for k in rows]
-    models = os.environ[FOLDER_VARIABLE] if networks else ""
+    models = os.environ[MODELS_VARIABLE] if networks else ""
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {FOLDER_VARIABLE: models}):
+    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {MODELS_VARIABLE: models}):
         decoder = Decoder(longest_side(_MATCHING_SIZE), "box", upright=True)
         found = reconstruct(photos, decoder, True, Path(name))
         seconds = round(time.process_time() - start, 1)
@@ -158,27 +156,6 @@ def read_records() -> dict[tuple[str, str, bool], CameraRecord]:
     return found
 
 
-def summary(records: dict[tuple[str, str, bool], CameraRecord]) -> str:
-    """Return pictures placed and the largest rotation error, a row per scene and kind of search."""
-
-    def cell(scene: str, chosen: str, networks: bool) -> str:
-        record = records.get((scene, chosen, networks))
-        if record is None:
-            return ""
-        if record.errors is None:
-            return f"{record.placed if record.placed >= MIN_PHOTOS else 0}"
-        return f"{record.placed}, {record.errors.rotation[1]:.1f}°"
-
-    measured = [s for s in SETS if any(record.chosen == s for record in records.values())]
-    rows = [
-        [scene, kind, *(cell(scene, chosen, networks) for chosen in measured)]
-        for scene in SCENES
-        for networks, kind in ((False, "SIFT"), (True, "with networks"))
-        if any(record.case[::2] == (scene, networks) for record in records.values())
-    ]
-    return markdown(["pictures of", "matches", *measured], rows, names=2)
-
-
 def table(records: Iterable[CameraRecord]) -> str:
     """Return every record with all of its errors."""
     rows = []
@@ -205,7 +182,7 @@ def main() -> None:
     parser.add_argument("--write-docs", action="store_true", help="also write the tables")
     parser.add_argument("--finished", action="store_true", help="use only records that exist")
     arguments = parser.parse_args()
-    for variable in ("STEREOGS_DATA", FOLDER_VARIABLE):
+    for variable in ("STEREOGS_DATA", MODELS_VARIABLE):
         if not os.environ.get(variable):
             raise SystemExit(f"set {variable} (docs/your_own_photographs.md)")
     records = read_records()
@@ -223,9 +200,8 @@ def main() -> None:
             records[case] = record
             append(asdict(record), FILE)
     listed = sorted(records.values(), key=lambda r: (SCENES.index(r.scene), SETS.index(r.chosen)))
-    print(summary(records))
+    print(table(listed))
     if arguments.write_docs:
-        pages.rewrite(PAGE, _MARKS, summary(records))
         pages.write_tables("photos", "Cameras of few pictures", "bench-photos", table(listed))
 
 

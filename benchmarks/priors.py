@@ -1,8 +1,7 @@
 """Accuracy of prior models: `python -m benchmarks.priors`, which `make bench-priors` runs.
 
-Prints its tables; with `--write-docs` also writes `benchmarks/tables/priors.md` and the summary in
-`docs/results.md`. Learned matching features and IterMVS are measured if STEREOGS_MODELS holds `FEATURES` and
-`NETWORK`.
+Prints its tables; with `--write-docs` also writes `benchmarks/tables/priors.md`. Learned matching features
+and IterMVS are measured if STEREOGS_MODELS holds `FEATURES` and `NETWORK`.
 """
 
 from __future__ import annotations
@@ -15,11 +14,10 @@ import torch
 
 from benchmarks import pages, priors_depth, priors_stereo
 from core_rasterizer import open_device
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 from stereogs.experiments.showing.score_table import markdown
 
 TARGET = "bench-priors"
-PAGE = pages.DOCS / "results.md"
 FEATURES = Path("mc_cnn_fast", "mc_cnn_fast_mb.onnx")
 NETWORK = Path("itermvs", "itermvs_blendedmvs.onnx")
 _STEREO = """\
@@ -60,9 +58,7 @@ CPU seconds of all threads, on {device}.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--write-docs", action="store_true", help=f"also write tables and docs/{PAGE.name}"
-    )
+    parser.add_argument("--write-docs", action="store_true", help="also write the tables")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     os.environ[FOLDER_VARIABLE] = ""  # cached answers would take no time
@@ -86,25 +82,6 @@ def main() -> None:
     print(text)
     if arguments.write_docs:
         pages.write_tables("priors", "Accuracy of prior models", TARGET, text)
-        pages.rewrite(PAGE, pages.marks(TARGET), summary(stereo, depth))
-
-
-def summary(stereo: list[list[str]], depth: list[list[str]]) -> str:
-    """Return two tables: pixels off by more than 2 pixels by pair, and depths of whole scenes.
-
-    Args:
-        stereo: Header and rows of `priors_stereo.table`.
-        depth: Header and rows of `priors_depth.table`.
-    """
-    pairs = list(dict.fromkeys(row[0] for row in stereo[1:]))
-    bad = {(row[1], row[0]): row[4] for row in stereo[1:]}
-    costs = dict.fromkeys(row[1] for row in stereo[1:])
-    first = markdown(
-        ["`sgm`, % off by more than 2 px", *pairs],
-        [[cost, *(bad[cost, pair] for pair in pairs)] for cost in costs],
-    )
-    whole = [[row[0], *row[2:]] for row in depth[1:] if row[1] in ("all", "object")]
-    return f"{first}\n{markdown(['depth', *depth[0][2:]], whole)}"
 
 
 if __name__ == "__main__":

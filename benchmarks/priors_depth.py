@@ -29,7 +29,7 @@ from benchmarks.trainings import DATA, PIPELINES
 from core_rasterizer import Device
 from registry import Context, Scene, View
 from registry.priors import MultiViewDepthPrior
-from registry.toolkit.drawing import grey
+from registry.toolkit.images import grey
 from registry.toolkit.views.triangulation import triangulate
 from stereogs.session import build_pipeline, load_scene
 from stereogs_plugins.initializers.consistency_dense.geometric_consistency import (

@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.cells import NONE, Records, spread
+from benchmarks.cells import Records, spread
 from benchmarks.records import Record
 from benchmarks.skips_plan import CASES, DEFAULT
 from stereogs.experiments.showing.against_time import Sample, front
@@ -25,18 +25,6 @@ Row = tuple[str, ...]
 def tables(records: Records, _: int) -> str:
     """Return a row for each switch and scene."""
     return markdown(HEADINGS, _rows(records).values(), names=2)
-
-
-def summary(records: Records) -> str:
-    """Return time saved and PSNR gained as a table with a row for each switch."""
-    rows = _rows(records)
-    scenes = list(dict.fromkeys(scene for _, scene in rows))
-    headings = [f"{name}, {scene}" for name in ("saved", "gained") for scene in scenes]
-    lines = []
-    for switch in dict.fromkeys(switch for switch, _ in rows if switch != DEFAULT):
-        shown = [rows.get((switch, scene), (NONE,) * len(HEADINGS)) for scene in scenes]
-        lines.append([switch, *(row[3] for row in shown), *(row[5] for row in shown)])
-    return markdown(["switch", *headings], lines)
 
 
 def _rows(records: Records) -> dict[tuple[str, str], Row]:

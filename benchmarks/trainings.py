@@ -17,7 +17,7 @@ from registry.messages.suggestions import listing
 from registry.pipeline.pipeline import Pipeline
 from registry.pipeline.yaml_source import Node, to_yaml
 from registry.runners import RunningTask, TrainingTask
-from registry.toolkit.cache import FOLDER_VARIABLE
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 from stereogs.experiments.running.local_processes import LocalProcesses, TrainingProcess
 
 DATA, MODELS = "STEREOGS_DATA", "STEREOGS_MODELS"

@@ -13,7 +13,8 @@ from benchmarks.results_plan import CASES, METHODS, planned_runs
 from benchmarks.trainings import Case, check_data
 from registry.discovery import Plugins
 from registry.system.files import write_text
-from registry.toolkit.views import ViewAngles, subject_of, view_angles
+from registry.toolkit.views import subject_of, view_angles
+from registry.toolkit.views.viewing_angles import ViewAngles
 from stereogs.session import load_scene
 
 FILE = RECORDS / "view_angles.json"

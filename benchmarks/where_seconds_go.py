@@ -26,7 +26,6 @@ from stereogs.experiments.showing.score_table import markdown
 
 ROOT = Path(__file__).parent.parent
 TARGET = "profile"
-PAGE = pages.DOCS / "run_time.md"
 PICTURE = pages.DOCS / "images" / "stages.png"
 
 Taken = dict[str, list[float]]
@@ -101,7 +100,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=3, help="runs with compiled kernels")
     parser.add_argument(
-        "--write-docs", action="store_true", help="rewrite table and picture in docs"
+        "--write-docs", action="store_true", help="rewrite the table, and the picture in docs"
     )
     arguments = parser.parse_args()
     if not os.environ.get(DATA):
@@ -116,7 +115,7 @@ def main() -> int:
     text = table(first, warm)
     print(text)
     if arguments.write_docs:
-        pages.rewrite(PAGE, pages.marks(TARGET), text)
+        pages.write_tables("profile", "Stages of weightfree_fast", TARGET, text)
         draw(warm, PICTURE)
     return 0
 

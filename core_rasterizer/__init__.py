@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         PlyError as PlyError,
     )
     from .functional import rasterize as rasterize
-    from .gaussians import Gaussians as Gaussians
+    from .gaussians import SH_C0 as SH_C0, Gaussians as Gaussians
     from .optimization import (
         Adam as Adam,
         Carried as Carried,

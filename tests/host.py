@@ -54,10 +54,12 @@ if TYPE_CHECKING:
     from registry.system.memory import peak_memory_mb, resident_bytes
     from registry.testing.bench import Bench
     from registry.testing.scenes import pipeline_item, pipeline_of
+    from registry.toolkit.cache.entries import FOLDER_VARIABLE
     from registry.toolkit.cache.keys import module_digest
+    from registry.toolkit.drawing.axis_ticks import round_step
+    from registry.toolkit.drawing.pictures import save_view_pictures
     from registry.toolkit.networks.model_file import check_content
     from registry.toolkit.progress.stages import Stages
-    from registry.toolkit.views.scene_facts import typical_depth
     from registry.training.assembly import assemble
     from registry.training.checkpoint import (
         CHECKPOINT,
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     )
     from registry.training.field import OPACITY_MARGIN, Field
     from registry.training.initial_model import initial_gaussians, new_model
+    from registry.training.scene_facts import points_in_view, summary, typical_depth, warnings
     from registry.training.trainer import Trainer, ViewOrder
     from stereogs.cli import main, parse as parse_command
     from stereogs.command_line.installed import verbs

@@ -60,12 +60,12 @@ FACES = {
     "registry.toolkit",
     "registry.toolkit.cache",
     "registry.toolkit.drawing",
+    "registry.toolkit.images",
     "registry.toolkit.networks",
     "registry.toolkit.networks.image_fitting",
     "registry.toolkit.photos",
     "registry.toolkit.progress",
     "registry.toolkit.views",
-    "registry.toolkit.views.triangulation",
     "registry.toolkit.views.virtual_views",
     "registry.toolkit.web_page",
 }

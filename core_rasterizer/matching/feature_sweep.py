@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray
-from .sweep_geometry import SweepGeometry
+from .sweep_geometry import SOURCE_MACROS, SweepGeometry
 
 
 class FeatureSweep:
@@ -67,6 +67,7 @@ class FeatureSweep:
             "matching/feature_sweep",
             dtype=torch.float32,
             SOURCES=len(sources),
+            **SOURCE_MACROS,
             CHANNELS=self._channels,
             PLANES_PER_ITEM=planes_an_item,
         )

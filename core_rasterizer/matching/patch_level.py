@@ -16,6 +16,8 @@ from .sweep_geometry import plane_transfer
 GREY_LEVELS = 8191
 """Largest absolute grey value and step between neighbours, as whole numbers."""
 
+_SOURCE_NUMBERS, _SOURCE_LAYOUT = 24, 4
+"""Row lengths of the arrays `numbers` and `layout`."""
 _KERNELS = tuple(
     f"matching/{name}"
     for name in ("pixel_pairs", "patch_window", "patch_plane", "patch_costs", "patch_match")
@@ -51,6 +53,8 @@ class PatchLevel:
             "RADIUS": radius,
             "LEVELS": GREY_LEVELS,
             "MAX_SOURCES": MAX_PATCH_SOURCES,
+            "SOURCE_NUMBERS": _SOURCE_NUMBERS,
+            "SOURCE_LAYOUT": _SOURCE_LAYOUT,
         }
         pair_ends = list(accumulate(camera.width * (camera.height + 1) for camera in cameras))
         ends = list(accumulate(camera.width * camera.height for camera in cameras))
@@ -149,9 +153,9 @@ class PatchLevel:
             rows.append(torch.cat([part.flatten() for part in ways]))
             size = (there.width, there.height)
             places.append((self._pair_starts[index], *size, self._starts[index]))
-        numbers = DeviceArray(self._device, (len(sources), 24))
+        numbers = DeviceArray(self._device, (len(sources), _SOURCE_NUMBERS))
         numbers.write(torch.stack(rows))
-        layout = DeviceArray(self._device, (len(sources), 4), torch.int32)
+        layout = DeviceArray(self._device, (len(sources), _SOURCE_LAYOUT), torch.int32)
         layout.write(torch.tensor(places))
         return {
             "planes": self.planes[view],

@@ -11,7 +11,7 @@ from torch import Tensor
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program
 from .limits import MAX_SWEEP_RADIUS
-from .sweep_geometry import SweepGeometry
+from .sweep_geometry import SOURCE_MACROS, SweepGeometry
 
 
 class ZnccSweep:
@@ -129,6 +129,7 @@ class ZnccSweep:
             "matching/plane_sweep",
             dtype=torch.float32,
             SOURCES=sources,
+            **SOURCE_MACROS,
             RADIUS=self._radius,
             LANES=self._device.profile.wide_lanes,
             PLANES_PER_ITEM=self._device.profile.sweep_planes,

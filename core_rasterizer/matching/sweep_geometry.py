@@ -11,6 +11,9 @@ from ..camera import Camera
 from ..device import Device, DeviceArray
 from .semi_global import empty_volume, padded_planes
 
+SOURCE_MACROS = {"SOURCE_NUMBERS": 12, "SOURCE_LAYOUT": 3}
+"""Row lengths of both results of `SweepGeometry.sources`, for the kernels."""
+
 
 class SweepGeometry:
     """Cameras and planes on a device.
@@ -64,8 +67,9 @@ class SweepGeometry:
         """
         if not sources:
             raise ValueError("a plane sweep needs at least one source view")
-        numbers = DeviceArray(self._device, (len(sources), 12))
-        layout = DeviceArray(self._device, (len(sources), 3), torch.int32)
+        numbers_length, layout_length = SOURCE_MACROS.values()
+        numbers = DeviceArray(self._device, (len(sources), numbers_length))
+        layout = DeviceArray(self._device, (len(sources), layout_length), torch.int32)
         here = self._cameras[reference]
         for row, index in enumerate(sources):
             there = self._cameras[index]

@@ -11,7 +11,8 @@ import torch
 from PIL import Image
 
 import stereogs
-from registry.toolkit.drawing import hatched, side_by_side, to_bytes, with_scale
+from registry.toolkit.drawing import side_by_side, to_bytes
+from stereogs.confidence_picture import hatched, with_scale
 
 ROOT = Path(__file__).parents[2]
 SHOWN = 2

@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from registry.toolkit.cache.keys import package_digest
+
 from ..contract.prior import Prior
 from ..contract.scene import TrainingView
 from ..discovery import GROUP
 from ..system.files import write_json
-from ..toolkit.cache import Cache, content_key, package_digest
+from ..toolkit.cache import Cache, content_key
 from ..toolkit.drawing.pictures import save_png
 
 if TYPE_CHECKING:

@@ -22,12 +22,12 @@ from urllib.request import url2pathname
 from torch import Tensor
 
 from core_rasterizer import Device, Engine, ExplainedError
+from registry.toolkit.cache.keys import code_digest
 
 from ..contract.scene import Scene
 from ..discovery import GROUP, Offer
 from ..errors import RunError
 from ..pipeline.pipeline import Item, Pipeline
-from ..toolkit.cache import code_digest
 
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""

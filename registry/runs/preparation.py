@@ -21,8 +21,8 @@ from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import Pipeline
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
-from ..toolkit.views.scene_facts import summary, warnings
 from ..training.initial_model import initial_gaussians
+from ..training.scene_facts import summary, warnings
 from .options import RunOptions, find_device
 
 

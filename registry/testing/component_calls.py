@@ -17,6 +17,7 @@ from torch import Tensor
 
 from core_rasterizer import GaussianReader, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from registry.toolkit.cache.entries import FOLDER_VARIABLE
 
 from ..calls.repeats import digests
 from ..confidence import Trained
@@ -37,7 +38,6 @@ from ..priors import (
 )
 from ..runs.options import RunOptions
 from ..runs.training_run import start_run
-from ..toolkit.cache import FOLDER_VARIABLE
 from ..training.initial_model import initial_gaussians
 from .assertions import require
 from .bench import Bench

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.progress import showing
+from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import add_device
 from ..command_line.command import Command
@@ -51,7 +51,7 @@ class Demo(Command):
             from registry.runs.folder import in_runs
             from registry.runs.results import RENDERS
             from registry.system.files import replacing
-            from registry.toolkit.drawing import COMPARISONS
+            from registry.toolkit.drawing.pictures import COMPARISONS
 
             from ..session import train
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from registry.toolkit.progress import showing
+from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import add_accept_changed, add_run, open_given
 from ..command_line.command import Command

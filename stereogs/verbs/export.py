@@ -17,12 +17,19 @@ from ..command_line.command import Command
 from ..command_line.output import console
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from core_rasterizer import GaussianReader
+    from registry.confidence import Confidence, Trained
     from registry.pipeline.pipeline import Item
     from registry.runs.run import Run
 
 MAX_LINES = 3
 """Largest number of files per folder that are listed one by one."""
+
+_CAMERAS_PER_VIEW = 2
+_MIN_LIGHT = 0.5
+"""Light, in pixels of all cameras together, at which the confidence of a Gaussian is halved."""
 
 _EPILOG = """\
 examples:
@@ -153,7 +160,6 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
     import torch
 
     from core_rasterizer import GaussianReader, Gaussians
-    from registry.toolkit.views import confidence_of_gaussians
     from registry.training.initial_model import new_model
 
     if not kinds and min_confidence is None:
@@ -171,7 +177,7 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
         left_out |= known[kind]
     attributes = {}
     if min_confidence is not None:
-        values = confidence_of_gaussians(run.trained, run.confidence("calibrated"))
+        values = _confidence_of_gaussians(run.trained, run.confidence("calibrated"))
         left_out |= values < min_confidence
         attributes = {"confidence": values[~left_out]}
     if left_out.all():
@@ -181,6 +187,21 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
     kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
     model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
     return GaussianReader(model, attributes)
+
+
+def _confidence_of_gaussians(trained: Trained, confidence: Confidence) -> Tensor:
+    """Return `[N]` float32 in [0, 1]: the mean confidence of the pixels in which a Gaussian is seen.
+
+    The pixels are those of cameras on a smooth path through the training cameras, because at the training
+    cameras themselves a guess looks like the photograph. A Gaussian that no camera sees gets 0.
+    """
+    from registry.toolkit.drawing import smooth_path
+    from registry.toolkit.views import gathered
+
+    cameras = [view.camera for view in trained.scene.train]
+    path = smooth_path(cameras, _CAMERAS_PER_VIEW * len(cameras)) if len(cameras) > 1 else cameras
+    sums, light = gathered(trained.model, ((one, confidence.of(one)) for one in path))
+    return (sums / (light + _MIN_LIGHT)).clamp(0, 1)
 
 
 def _names(text: str) -> tuple[str, ...]:

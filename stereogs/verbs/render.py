@@ -66,7 +66,10 @@ class Render(Command):
         output = console()
         run = open_given(arguments)
         from registry.runs.results import RENDERS
-        from registry.toolkit.drawing import hatched, save_view_pictures, smooth_path, write_video
+        from registry.toolkit.drawing import smooth_path, write_video
+        from registry.toolkit.drawing.pictures import save_view_pictures
+
+        from ..confidence_picture import hatched
 
         folder, scene = run.folder_or_refuse().folder(RENDERS), run.scene
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
@@ -97,8 +100,11 @@ def _draw(
 ) -> tuple[Path, float]:
     """Write pictures and numbers of each view's confidence; return where, and the sure share."""
     from registry.system.files import write_text
-    from registry.toolkit.drawing import CONFIDENCE, GUESSED, hatched, save_png, with_scale
-    from registry.toolkit.views import decibels, predicted_psnr, subject_of, view_angles
+    from registry.toolkit.drawing import save_png
+    from registry.toolkit.images import decibels, predicted_psnr
+    from registry.toolkit.views import subject_of, view_angles
+
+    from ..confidence_picture import CONFIDENCE, GUESSED, hatched, with_scale
 
     scene, place = run.scene, folder / CONFIDENCE
     place.mkdir(exist_ok=True)

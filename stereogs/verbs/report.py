@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from registry import RunError
-from registry.toolkit.progress import showing
+from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import add_run, open_given
 from ..command_line.command import Command

@@ -12,7 +12,7 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from registry.errors import RunError
-from registry.toolkit.progress import showing
+from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import (
     add_accept_changed,

@@ -56,7 +56,7 @@ class SfmInitializer(Initializer[SfmSettings]):
         if source == "auto":
             source = "scene" if has_points else "triangulate"
         if source == "triangulate":
-            from registry.toolkit.views.triangulation import triangulated_points
+            from registry.toolkit.views import triangulated_points
 
             return triangulated_points(
                 scene,

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 from pydantic import Field
 
 from registry import Register, Scene, Settings, Unavailable, View, ViewMetric, hookimpl
-from registry.toolkit.views import decibels
+from registry.toolkit.images import decibels
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -107,7 +107,7 @@ class PSNRPredicted(_OfConfidence):
 
     def measure_view(self, rendering: Rendering, view: View, scene: Scene) -> float | Unavailable:
         """Return decibels."""
-        from registry.toolkit.views import predicted_psnr
+        from registry.toolkit.images import predicted_psnr
 
         confidence = self.confidence(view)
         if confidence is None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import Metric, Register, SceneError, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings, row_bands
-from registry.toolkit.views import decibels
+from registry.toolkit.images import ImageMetricSettings, decibels, row_bands
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from registry import Metric, Register, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings, row_bands, white_outside
+from registry.toolkit.images import ImageMetricSettings, row_bands, white_outside
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class SSIM(Metric[ImageMetricSettings]):
 
 def _similarity(first: Image, second: Image) -> Image:
     """Return the similarity of each pixel and channel of two images, `[H, W, C]`."""
-    from registry.toolkit.photos import in_parallel
+    from registry.toolkit.progress import in_parallel
 
     images = (first, second, first * first, second * second, first * second)
     mean_1, mean_2, square_1, square_2, product = in_parallel(_blur, images)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import Metric, Register, Unavailable, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings
+from registry.toolkit.images import ImageMetricSettings
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -30,7 +30,7 @@ class ScikitImageSSIM(Metric[ImageMetricSettings]):
             return Unavailable(f"the image is smaller than the window of {WINDOW}x{WINDOW} pixels")
         from skimage.metrics import structural_similarity
 
-        from registry.toolkit.drawing import white_outside
+        from registry.toolkit.images import white_outside
 
         first, second = (
             white_outside(self.settings.prepared(image), mask).numpy()

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from core_rasterizer import SH_C0
 from registry import Observer, Register, TrainingScene, hookimpl
 from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
-from registry.toolkit import optional_module
-from registry.toolkit.drawing import LoggerSettings
-
-_DC = 0.28209479177387814
-"""The spherical harmonic of degree 0, 1 / (2 sqrt(pi))."""
+from registry.toolkit import LoggerSettings, optional_module
 
 
 class RerunObserver(Observer[LoggerSettings]):
@@ -38,7 +35,7 @@ class RerunObserver(Observer[LoggerSettings]):
         if picture is not None:
             sh = done.model.read("sh")[:, 0]
             centres = self.rerun.Points3D(
-                done.model.read("means").numpy(), colors=(0.5 + _DC * sh).clamp(0, 1).numpy()
+                done.model.read("means").numpy(), colors=(0.5 + SH_C0 * sh).clamp(0, 1).numpy()
             )
             self.stream.log("world/gaussians", centres)
             self.stream.log(f"views/{done.view.name}", self.rerun.Image(picture))

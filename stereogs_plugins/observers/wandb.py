@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 from registry import Observer, Register, hookimpl
 from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
-from registry.toolkit import optional_module
-from registry.toolkit.drawing import LoggerSettings
+from registry.toolkit import LoggerSettings, optional_module
 
 
 class WandbSettings(LoggerSettings):

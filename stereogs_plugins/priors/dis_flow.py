@@ -77,7 +77,7 @@ def _grey(image: Tensor, size: tuple[int, int]) -> NDArray[np.uint8]:
     import cv2
     import numpy as np
 
-    from registry.toolkit.drawing import grey
+    from registry.toolkit.images import grey
 
     brightness = (255 * grey(image).clamp(0, 1)).round().numpy().astype(np.uint8)
     if (brightness.shape[1], brightness.shape[0]) == size:

@@ -13,7 +13,7 @@ from pydantic import Field
 from core_rasterizer.matching import MAX_PATCH_SOURCES
 from registry import PluginError, Register, Settings, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
-from registry.toolkit.drawing import grey
+from registry.toolkit.images import grey
 from registry.toolkit.progress import progress
 
 if TYPE_CHECKING:

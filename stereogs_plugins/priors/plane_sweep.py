@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from core_rasterizer.matching import MAX_PENALTY, MAX_SWEEP_RADIUS
 from registry import Context, PluginError, Register, Settings, TrainingView, hookimpl
 from registry.priors import DepthMap, MultiViewDepthPrior
-from registry.toolkit.drawing import grey
+from registry.toolkit.images import grey
 from registry.toolkit.networks import OnnxModel, Sha256
 from registry.toolkit.progress import tracked
 

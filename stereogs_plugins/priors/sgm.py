@@ -114,7 +114,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def _costs(self, left: Tensor, right: Tensor) -> CostVolume:
         from core_rasterizer.matching import census_costs, feature_costs, zncc_costs
-        from registry.toolkit.drawing import grey
+        from registry.toolkit.images import grey
 
         device, planes = self.context.device, self._planes(left)
         if self._features:
@@ -126,7 +126,7 @@ class SgmPrior(StereoPrior[SgmSettings]):
 
     def _cheapest(self, costs: CostVolume, image: Tensor) -> Tensor:
         from core_rasterizer.matching import aggregate, pick
-        from registry.toolkit.drawing import grey
+        from registry.toolkit.images import grey
 
         device = self.context.device
         sums = aggregate(device, costs, grey(image), self._penalties)

@@ -63,7 +63,7 @@ class SiftMatches(MatchingPrior[SiftMatchesSettings]):
         """Keypoints and descriptors of pycolmap."""
         import torch
 
-        from registry.toolkit.drawing import grey
+        from registry.toolkit.images import grey
 
         options = colmap.FeatureExtractionOptions()
         options.num_threads = 1

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from registry import Context, Register, Regularizer, Settings, Step, hookimpl
 from registry.priors import MonocularDepthPrior
-from registry.toolkit.networks.image_fitting import at_size
+from registry.toolkit.images import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor

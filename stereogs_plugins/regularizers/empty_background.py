@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from registry import Context, Register, Regularizer, Settings, Step, hookimpl
-from registry.toolkit.networks.image_fitting import at_size
-from registry.toolkit.photos import dark_background
+from registry.toolkit.images import at_size, dark_background
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -22,7 +22,7 @@ from registry import (
     hookimpl,
 )
 from registry.priors import MonocularDepthPrior
-from registry.toolkit.networks.image_fitting import at_size
+from registry.toolkit.images import at_size
 from registry.toolkit.views import SOLID, virtual_views
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks import campaign, campaigns, error_report, priors, records, where_seconds_go
+from benchmarks import campaign, campaigns, next_views_page, records
 from benchmarks.campaign import Campaign
 from benchmarks.pages import DOCS, marks, rewrite
 from benchmarks.records import RECORDS, Record, read, save
@@ -160,8 +160,8 @@ def test_text_outside_the_marks_is_kept(tmp_path: Path) -> None:
     assert page.read_text("utf-8") == "# No marks\n"
 
 
-PAGES = {one.target or one.name: DOCS / one.page for one in campaigns.CAMPAIGNS.values()}
-PAGES |= {module.TARGET: module.PAGE for module in (error_report, priors, where_seconds_go)}
+PAGES = {c.target or c.name: DOCS / c.page for c in campaigns.CAMPAIGNS.values() if c.page}
+PAGES |= {next_views_page.TARGET: next_views_page.PAGE}
 
 
 @pytest.mark.parametrize("target", PAGES)
@@ -182,7 +182,7 @@ def campaign_of(
     monkeypatch.setattr(records, "RECORDS", place / "records")
     monkeypatch.setenv("STEREOGS_DATA", str(place))
     monkeypatch.setattr(sys, "argv", ["results", *options])
-    return Campaign("results", "All", [], lambda _: runs, "x.md", summary, tables)
+    return Campaign("results", "All", [], lambda _: runs, tables, "x.md", summary)
 
 
 def test_a_failed_run_is_reported(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -164,3 +164,26 @@ def test_statistics_survive_passes_that_take_no_step(device: Device) -> None:
     assert torch.equal(kept.model.statistics.sums(), used.model.statistics.sums())
     used.model.zero_gradients()
     assert used.model.statistics.sums()[1].max() == 2
+
+
+def test_the_states_of_an_iteration(device: Device) -> None:
+    """As the diagram of `Gradients` has them."""
+    used, states = Training(device, False), []
+    gradients = used.model.gradients
+    actions: list[Callable[[], object]] = [
+        used.model.zero_gradients,
+        used.backward,
+        used.step,
+        used.backward,
+        used.backward,
+        lambda: used.model.gradient("means"),
+        used.step,
+        lambda: used.model.parameter("scales").sum().backward(),
+        used.step,
+    ]
+    for act in actions:
+        act()
+        states.append(gradients.state.name)
+    first, second = ["ZERO", "DEFERRED", "USED"], ["DEFERRED", "DEFERRED_MORE", "STORED", "USED"]
+    assert states == [*first, *second, "ZERO", "USED"]
+    assert gradients.passes == 4

@@ -46,7 +46,7 @@ def fuzz(
     target.read()  # the undamaged file is accepted; this also imports all modules that reading needs
     tally = Tally()
     # Starting more threads takes longer than reading such a small file.
-    with mock.patch("os.cpu_count", return_value=1):
+    with mock.patch("registry.toolkit.progress.parallel.usable_cores", return_value=1):
         for number in numbers:
             starts(number)
             _try(target, number, tally)

@@ -17,9 +17,16 @@ from core_rasterizer import Device, ExplainedError
 from registry import PluginError
 from registry.calls.memory import MemoryLedger
 from registry.calls.watchdog import WATCHDOG
-from registry.toolkit.cache import FOLDER_VARIABLE
 from stereogs import Pipeline
-from tests.host import GROUP, Plugins, load_run, parse_pipeline, repeat_failure, resident_bytes
+from tests.host import (
+    FOLDER_VARIABLE,
+    GROUP,
+    Plugins,
+    load_run,
+    parse_pipeline,
+    repeat_failure,
+    resident_bytes,
+)
 from tests.registry.conftest import TOYS
 from tests.registry.faulty import NAMES, installed, module
 

@@ -6,8 +6,7 @@
  * lie side by side in a source view.
  */
 
-#define SOURCE_NUMBERS 12
-#define SOURCE_LAYOUT 3
+/* SOURCE_NUMBERS and SOURCE_LAYOUT come from sweep_geometry.py. */
 #define NO_PLANE 255
 #define UNKNOWN 128
 

@@ -7,8 +7,7 @@
  * of its image in `pairs` (pixel_pairs.cl), width, height, offset of its inverse depths in `known`.
  */
 
-#define SOURCE_NUMBERS 24
-#define SOURCE_LAYOUT 4
+/* SOURCE_NUMBERS and SOURCE_LAYOUT come from patch_level.py. */
 #define NOISE 4e-6f /* variance of grey values that counts as no texture */
 #define FORGIVEN 1.0f /* pixels of disagreement without cost, because depths are read without interpolation */
 #define MAX_MISSED 3.0f /* pixels; larger disagreements cost the same */

@@ -17,8 +17,7 @@
 
 #define WINDOW (2 * RADIUS + 1)
 #define COLUMNS (TILE_WIDTH + 2 * RADIUS)
-#define SOURCE_NUMBERS 12
-#define SOURCE_LAYOUT 3 /* where the image starts in `pairs`; its width and height */
+/* SOURCE_NUMBERS and SOURCE_LAYOUT come from sweep_geometry.py. */
 #define NO_PLANE 255 /* the cost of padding planes; their depth is NaN */
 #define UNKNOWN 128.0f /* where no view sees the point: the cost of ZNCC = 0 */
 #define NOT_SEEN 1000.0f /* above every cost */

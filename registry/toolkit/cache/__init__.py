@@ -18,12 +18,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .entries import FOLDER_VARIABLE as FOLDER_VARIABLE, Cache as Cache
-    from .keys import (
-        code_digest as code_digest,
-        content_key as content_key,
-        package_digest as package_digest,
-        source_digest as source_digest,
-    )
+    from .entries import Cache as Cache
+    from .keys import content_key as content_key, source_digest as source_digest
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -13,37 +13,19 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import (
-        Vector as Vector,
         smooth_path as smooth_path,
         upright_rotation as upright_rotation,
         upwards as upwards,
     )
-    from .confidence_picture import (
-        CONFIDENCE as CONFIDENCE,
-        GUESSED as GUESSED,
-        hatched as hatched,
-        read_confidence as read_confidence,
-        with_scale as with_scale,
-    )
     from .pictures import (
-        COMPARISONS as COMPARISONS,
         RAMP as RAMP,
         ViewPictures as ViewPictures,
         depth_ends as depth_ends,
-        depth_picture as depth_picture,
-        grey as grey,
         nearness_picture as nearness_picture,
         ramp_picture as ramp_picture,
         save_png as save_png,
-        save_view_pictures as save_view_pictures,
         side_by_side as side_by_side,
         to_bytes as to_bytes,
-    )
-    from .settings import (
-        ImageMetricSettings as ImageMetricSettings,
-        LoggerSettings as LoggerSettings,
-        row_bands as row_bands,
-        white_outside as white_outside,
     )
     from .video import write_video as write_video
 else:

@@ -35,8 +35,6 @@ _RAMP_STEPS = 1024
 """Steps of the color map; a step is less than one of 256 levels."""
 _GAP = 4
 """White pixels between two images."""
-_LUMA = (0.299, 0.587, 0.114)
-"""Weights of red, green and blue in grey (ITU-R BT.601), as in image libraries."""
 
 
 def save_png(image: Tensor, path: Path, texts: Mapping[str, str] | None = None) -> None:
@@ -60,11 +58,6 @@ def to_bytes(image: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     if image.dtype == torch.uint8:
         return image.numpy()
     return image.detach().clamp(0, 1).mul_(255).round_().to(torch.uint8).numpy()
-
-
-def grey(image: Tensor) -> Tensor:
-    """Return the luma `[H, W]` of an image `[H, W, 3]` in [0, 1] (ITU-R BT.601)."""
-    return image @ image.new_tensor(_LUMA)
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,16 @@ if TYPE_CHECKING:
         Keypoints as Keypoints,
         LearnedFeatures as LearnedFeatures,
     )
-    from .model_file import Sha256 as Sha256, read_model_file as read_model_file
+    from .model_file import (
+        MODELS_VARIABLE as MODELS_VARIABLE,
+        Sha256 as Sha256,
+        model_files as model_files,
+        read_model_file as read_model_file,
+    )
     from .onnx_model import (
         OnnxModel as OnnxModel,
         OnnxModelSettings as OnnxModelSettings,
         OnnxTensor as OnnxTensor,
-        answers_within as answers_within,
     )
     from .onnx_session import OnnxProvider as OnnxProvider, first_line as first_line
 else:

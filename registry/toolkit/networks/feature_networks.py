@@ -17,8 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from registry.toolkit.images import grey
+
 from ...errors import PluginError
-from ..drawing.pictures import grey
 from .image_fitting import ValueRange, in_range, stretched
 from .onnx_model import OnnxModel
 

@@ -3,7 +3,7 @@
     fit = padded((height, width), (None, None), multiple=32)
     depth = fit.undo(network(in_range(fit.apply(images), "imagenet")))
 
-Sizes are (height, width). Each side of a graph's input is fixed, or dynamic (None) with a divisor.
+Shapes are (height, width). Each side of a graph's input is fixed, or dynamic (None) with a divisor.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from ...errors import PluginError
 
 __all__ = [
     "Fit",
-    "FrozenSize",
+    "FrozenShape",
     "Padding",
-    "Size",
     "ValueRange",
-    "at_size",
     "full_size_maps",
     "in_range",
     "padded",
@@ -33,8 +31,10 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-Size = tuple[int, int]
-FrozenSize = tuple[int | None, int | None]
+Shape = tuple[int, int]
+"""`(height, width)`, as in shapes of tensors; a `Size` of `registry.toolkit.photos` is (width, height)."""
+FrozenShape = tuple[int | None, int | None]
+"""Shape of a graph's input; None for a side that is dynamic."""
 Padding = Literal["replicate", "black"]
 ValueRange = Literal["0..255", "0..1", "-1..1", "imagenet"]
 
@@ -49,12 +49,12 @@ class Fit:
     """A transform that resizes images to `content`, then pads both sides evenly to `target`.
 
     Args:
-        image, content, target: Sizes of the images, after resizing, and of the network's input.
+        image, content, target: shapes of the images, after resizing, and of the network's input.
     """
 
-    image: Size
-    content: Size
-    target: Size
+    image: Shape
+    content: Shape
+    target: Shape
 
     @property
     def width_factor(self) -> float:
@@ -117,12 +117,12 @@ class Fit:
         return moved * points.new_tensor([self.width_factor, self.height_factor])
 
     @property
-    def _offset(self) -> Size:
+    def _offset(self) -> Shape:
         """Padding above and left of the content; of an odd padding, the larger half follows the content."""
         return (self.target[0] - self.content[0]) // 2, (self.target[1] - self.content[1]) // 2
 
 
-def padded(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
+def padded(image: Shape, frozen: FrozenShape, multiple: int) -> Fit:
     """Pad to the fixed size or the next multiple; downsample larger images first, keeping proportions."""
     room = [side if side is not None else math.inf for side in frozen]
     factor = min(1.0, room[0] / image[0], room[1] / image[1])
@@ -134,7 +134,7 @@ def padded(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
     return Fit(image, content, (height, width))
 
 
-def stretched(image: Size, frozen: FrozenSize, multiple: int) -> Fit:
+def stretched(image: Shape, frozen: FrozenShape, multiple: int) -> Fit:
     """Resize to the fixed size, or each side to the nearest multiple, without padding."""
     height, width = (
         side if side is not None else max(1, round(length / multiple)) * multiple
@@ -180,19 +180,3 @@ def full_size_maps(
             fix="export the graph with an output at the size of its images, or choose such an output",
         )
     return answer.reshape(shape)
-
-
-def at_size(pixels: Tensor, height: int, width: int) -> Tensor:
-    """Resample a map of a photograph to the size of its render, which samplers may reduce.
-
-    Takes the nearest pixel of a map `[H, W]` of any type without averaging, so that depths of two surfaces
-    and unknown values do not mix. A map of the right size is returned unchanged.
-    """
-    import torch
-
-    rows, columns = pixels.shape
-    if (rows, columns) == (height, width):
-        return pixels
-    down = (torch.arange(height) * 2 + 1) * rows // (2 * height)
-    right = (torch.arange(width) * 2 + 1) * columns // (2 * width)
-    return pixels[down[:, None], right]

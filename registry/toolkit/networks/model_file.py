@@ -7,6 +7,7 @@ onnxruntime crashes if an empty tensor decides a loop or a branch, because it re
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,8 @@ from pydantic import Field
 
 from ...errors import PluginError
 
+MODELS_VARIABLE = "STEREOGS_MODELS"
+"""Environment variable with the path of the folder of model files."""
 LARGEST = 1 << 31
 """2 GiB, the limit of the ONNX format."""
 
@@ -49,6 +52,13 @@ class ModelFile(NamedTuple):
 
     content: bytes
     sha256: str
+
+
+def model_files(*files: Path) -> tuple[Path, ...] | None:
+    """Return the paths of files in the folder STEREOGS_MODELS; None if it is not set or one is missing."""
+    folder = os.environ.get(MODELS_VARIABLE)
+    paths = tuple(Path(folder or "", file) for file in files)
+    return paths if folder and all(path.is_file() for path in paths) else None
 
 
 def read_model_file(path: Path, sha256: str | None) -> ModelFile:

@@ -20,6 +20,7 @@ from pydantic import Field
 
 from ...contract.component import Settings
 from ...errors import PluginError
+from ...system.cores import usable_cores
 from ...system.memory import peak_memory_mb
 from .model_file import Sha256, check_content, read_model_file
 from .onnx_session import (
@@ -28,7 +29,6 @@ from .onnx_session import (
     choose_provider,
     first_line,
     open_session,
-    processors,
     running_provider,
 )
 
@@ -103,7 +103,7 @@ class OnnxModel:
         check_content(file.content, self.path)
         self.sha256 = file.sha256
         chosen = choose_provider(provider)
-        self.threads = threads or processors()
+        self.threads = threads or usable_cores()
         self._session = open_session(file.content, self.path, chosen, self.threads)
         self.provider = running_provider(self._session, provider)
         self.inputs = _described(self._session.get_inputs(), self.path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -106,13 +105,6 @@ def running_provider(session: Any, wanted: OnnxProvider | None) -> OnnxProvider:
             fix=f"install the libraries that {wanted!r} needs, or choose {name!r}",
         )
     return name
-
-
-def processors() -> int:
-    """Return the number of CPUs that this process may use; in a container fewer than the machine has."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def first_line(error: Exception) -> str:

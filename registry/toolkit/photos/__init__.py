@@ -18,10 +18,8 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from ..progress.parallel import in_parallel as in_parallel
     from .bounds import Bounds as Bounds, estimate_bounds as estimate_bounds
     from .colmap_files import (
-        ColmapImage as ColmapImage,
         colmap_models as colmap_models,
         count_images as count_images,
         has_colmap_model as has_colmap_model,
@@ -36,17 +34,13 @@ if TYPE_CHECKING:
         BACKGROUNDS as BACKGROUNDS,
         HEIF_SUFFIXES as HEIF_SUFFIXES,
         Decoder as Decoder,
-        Pixels as Pixels,
         ResizeFilter as ResizeFilter,
         Size as Size,
         at_most as at_most,
-        dark_background as dark_background,
         divided_by as divided_by,
         longest_side as longest_side,
         open_8_bit as open_8_bit,
-        open_image as open_image,
         read_heif as read_heif,
-        read_mask as read_mask,
         stored_size as stored_size,
         upright_size as upright_size,
     )

@@ -9,9 +9,6 @@ from ...errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from core_rasterizer import Camera
 
     from ...contract.scene import PointCloud
@@ -25,6 +22,8 @@ MARGIN = 1.1
 """Factor that widens bounds from points: points are sparse and rarely cover the extremes."""
 FOCUS_FACTOR = 5.0
 """Content is assumed from 1/5 to 5 times the distance of the point that the cameras look at."""
+_MIN_EIGENVALUE = 1e-3
+"""Of `nearest_to_axes`; axes within about 2 degrees count as parallel."""
 SAME_CENTER = 1e-9
 """Centres nearer to each other than this, relative to their coordinates, differ by rounding only."""
 BASELINES = (1.0, 100.0)
@@ -43,11 +42,7 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
     Raises:
         SceneError: The scene has no points and all cameras have the same center.
     """
-    import numpy as np
-
-    centers = np.stack([camera.center.numpy() for camera in cameras])
-    axes = np.stack([camera.world_to_camera[2, :3].numpy() for camera in cameras])
-    bounds = _from_points(cameras, points) or _from_focus(centers, axes) or _from_baselines(centers)
+    bounds = _from_points(cameras, points) or _from_focus(cameras) or _from_baselines(cameras)
     if bounds is None:
         raise SceneError(
             "the scene's depth is unknown: it has no points, and the training cameras have the same "
@@ -77,24 +72,23 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
     return float(nearest / MARGIN), float(farthest * MARGIN)
 
 
-def _from_focus(centers: NDArray[np.float64], axes: NDArray[np.float64]) -> Bounds | None:
-    """Use the point with the smallest sum of squared distances to all axes."""
+def _from_focus(cameras: Sequence[Camera]) -> Bounds | None:
     import numpy as np
 
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # [V, 3, 3]
-    together = across.mean(axis=0)
-    if np.linalg.eigvalsh(together)[0] < 1e-3:  # axes within about 2 degrees
+    from .focus import lines_of_sight, nearest_to_axes
+
+    focus = nearest_to_axes(cameras, _MIN_EIGENVALUE)
+    if focus is None:
         return None
-    focus = np.linalg.solve(together, np.einsum("vij,vj->i", across, centers) / len(centers))
+    centers, axes = lines_of_sight(cameras)
     depths = np.einsum("vi,vi->v", axes, focus - centers)
-    if depths.min() <= 0:
-        return None
     return float(depths.min() / FOCUS_FACTOR), float(depths.max() * FOCUS_FACTOR)
 
 
-def _from_baselines(centers: NDArray[np.float64]) -> Bounds | None:
+def _from_baselines(cameras: Sequence[Camera]) -> Bounds | None:
     import numpy as np
 
+    centers = np.stack([camera.center.numpy() for camera in cameras])
     largest = float(np.linalg.norm(centers[:, None] - centers[None], axis=2).max())
     if largest <= SAME_CENTER * max(1.0, float(np.abs(centers).max())):
         return None

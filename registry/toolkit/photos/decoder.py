@@ -29,12 +29,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from PIL import Image
-    from torch import Tensor
 
 Pixels: TypeAlias = "NDArray[np.uint8]"
 """`[H, W, 3]`, or `[H, W]` for one channel."""
 Size = tuple[int, int]
-"""`(width, height)` in pixels."""
+"""`(width, height)` in pixels, as in Pillow, OpenCV and COLMAP; shapes of tensors are (height, width)."""
 SizeRule = Callable[[int, int], Size]
 """Function of the stored width and height that returns the size to resize to."""
 ResizeFilter = Literal["box", "bilinear", "bicubic", "lanczos"]
@@ -59,8 +58,6 @@ _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of this EXIF tag that exchange width and height."""
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
-_BACKDROP_RUN = 50
-"""Pixels to the left of a dark one that must be dark too, to keep dark objects."""
 _CACHED = "image.png"
 
 
@@ -317,21 +314,3 @@ def upright_size(file: Image.Image) -> Size:
     width, height = file.size
     turned = file.getexif().get(_ORIENTATION) in _QUARTER_TURNS
     return (height, width) if turned else (width, height)
-
-
-def dark_background(image: Tensor, level: int) -> Tensor:
-    """Return the black backdrop of DTU's photographs, bool `[H, W]` (DNGaussian, Li et al. 2024).
-
-    A pixel belongs to it if it and the 50 pixels to its left are dark; pixels outside the image count as
-    dark.
-
-    Args:
-        image: `[H, W, 3]` in [0, 1].
-        level: A pixel is dark if its largest channel is below level / 255.
-    """
-    import torch
-
-    bright = (image.amax(dim=2) >= level / 255).int().cumsum(dim=1)
-    before = torch.zeros_like(bright)
-    before[:, _BACKDROP_RUN + 1 :] = bright[:, : -(_BACKDROP_RUN + 1)]
-    return bright == before

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .display import showing as showing
+    from .parallel import in_parallel as in_parallel
     from .stages import progress as progress, tracked as tracked
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

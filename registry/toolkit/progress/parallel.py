@@ -5,11 +5,11 @@ Memory per thread: 3 or 4 bytes per pixel for a photograph at full size, 12 for 
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from typing import TYPE_CHECKING, TypeVar
 
+from ...system.cores import usable_cores
 from .stages import progress
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def in_parallel(
     Args:
         stage: reported with the number of finished items (`progress`).
     """
-    threads, finished = min(len(items), os.cpu_count() or 1), count(1)
+    threads, finished = min(len(items), usable_cores()), count(1)
 
     def reported(item: Item) -> Result:
         result = work(item)

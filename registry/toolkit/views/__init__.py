@@ -14,30 +14,14 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from ...contract.scene import SOLID as SOLID
-    from .confident_gaussians import confidence_of_gaussians as confidence_of_gaussians
     from .correspondences import (
         epipolar_distances as epipolar_distances,
         flow_cycle_error as flow_cycle_error,
         flow_in_size as flow_in_size,
     )
-    from .painted import Painted as Painted, gathered as gathered, same_model as same_model
-    from .predicted_error import (
-        RIGHT as RIGHT,
-        decibels as decibels,
-        predicted_psnr as predicted_psnr,
-    )
-    from .scene_facts import (
-        image_sizes as image_sizes,
-        points_in_view as points_in_view,
-        summary as summary,
-        warnings as warnings,
-    )
+    from .light_shares import gathered as gathered, same_model as same_model
+    from .triangulation import triangulated_points as triangulated_points
     from .view_parameters import ViewParameters as ViewParameters
-    from .viewing_angles import (
-        ViewAngles as ViewAngles,
-        subject_of as subject_of,
-        view_angles as view_angles,
-    )
-    from .where_to_stand import Photographs as Photographs, words_between as words_between
+    from .viewing_angles import subject_of as subject_of, view_angles as view_angles
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from core_rasterizer.matching import source_views
+from registry.toolkit.images import grey
 
 from ...contract.scene import PointCloud
 from ...errors import SceneError
-from ..drawing.pictures import grey
 from ..photos.lens import import_pycolmap
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from core_rasterizer import Camera
 
     from ...contract.scene import TrainingScene, TrainingView
-
-__all__ = ["Triangulation", "triangulate", "triangulated_points"]
 
 CONTRAST_THRESHOLD = 0.002
 """Contrast threshold of SIFT features; COLMAP's 0.0067 suits dozens of photographs, not three."""

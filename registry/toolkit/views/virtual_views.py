@@ -23,23 +23,13 @@ if TYPE_CHECKING:
 
     from ...contract.scene import TrainingScene
 
-__all__ = [
-    "VirtualViewKind",
-    "between",
-    "between_neighbours",
-    "draw",
-    "focus_depth",
-    "focus_point",
-    "in_box",
-    "looking_at",
-    "on_sphere",
-]
+__all__ = ["VirtualViewKind", "draw"]
 
 VirtualViewKind = Literal["box", "between", "sphere"]
 """Function that `draw` uses: `in_box`, `between_neighbours` or `on_sphere`."""
 
-_PARALLEL = 1e-6
-"""Smallest eigenvalue per camera; axes within about a milliradian count as parallel."""
+_MIN_EIGENVALUE = 1e-6
+"""Of `nearest_to_axes`; axes within about a milliradian count as parallel."""
 
 
 def draw(kind: VirtualViewKind, scene: TrainingScene, generator: Generator) -> Camera:
@@ -68,15 +58,14 @@ def focus_point(cameras: Sequence[Camera], bounds: tuple[float, float]) -> Tenso
     """
     import torch
 
-    centers, axes = _centers(cameras), torch.stack([c.camera_to_world[:3, 2] for c in cameras])
-    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None, :]
-    total, middle = across.sum(0), centers.mean(0)
-    ahead = axes.sum(0) / axes.sum(0).norm().clamp(min=1e-12)
-    if float(torch.linalg.eigvalsh(total)[0]) > _PARALLEL * len(cameras):
-        point: Tensor = torch.linalg.solve(total, (across @ centers[:, :, None]).sum(0)[:, 0])
-        if float(((point - centers) * axes).sum(1).min()) > 0:
-            return point
-    before: Tensor = middle + focus_depth(bounds) * ahead
+    from ..photos.focus import nearest_to_axes
+
+    point = nearest_to_axes(cameras, _MIN_EIGENVALUE)
+    if point is not None:
+        return torch.from_numpy(point)
+    axes = torch.stack([c.camera_to_world[:3, 2] for c in cameras]).sum(0)
+    ahead = axes / axes.norm().clamp(min=1e-12)
+    before: Tensor = _centers(cameras).mean(0) + focus_depth(bounds) * ahead
     return before
 
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         image as image,
         note as note,
         page as page,
-        pinned as pinned,
         score_table as score_table,
         section as section,
         subsection as subsection,

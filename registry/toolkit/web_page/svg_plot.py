@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from html import escape
 from itertools import cycle
 
+from ..drawing.axis_ticks import multiples, round_step
+
 _COLORS = ["#3069b0", "#c8553d", "#2e8b57", "#8d5fb4", "#b8860b", "#3d9aa8", "#a83f6f", "#777777"]
 _WIDTH, _HEIGHT = 400, 220
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 26
 _INSET = 14
 """Pixels between the outermost ticks and the frame: half of a tick's text."""
+_STEPS = 5
+"""About so many steps from the lowest to the highest tick of the upward axis."""
 _NAME_HEIGHT = 16
 _DECADES = 2.0
 """Powers of ten; positive values with a larger range get a logarithmic axis."""
@@ -121,7 +125,8 @@ class _Up:
     def rules(self) -> Iterator[str]:
         """Yield grid lines at round numbers, with the numbers."""
         smallest = 1.0 if self.logarithmic else 0.0
-        for tick in _ticks(self._low, self._high, smallest_step=smallest):
+        step = round_step(max((self._high - self._low) / _STEPS, smallest))
+        for tick in multiples(step, self._low, self._high):
             y = self._at(tick)
             yield f'<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
             number = _number(10**tick if self.logarithmic else tick)
@@ -141,14 +146,6 @@ def _range(low: float, high: float, lowest: float) -> tuple[float, float]:
         return lowest, high + 0.05 * (high - lowest)
     margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return (low - margin if low < lowest else max(low - margin, lowest)), high + margin
-
-
-def _ticks(low: float, high: float, smallest_step: float) -> list[float]:
-    """Return about five round numbers between the two."""
-    rough = max((high - low) / 5, smallest_step)
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))
-    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def _drawn(line: Line, color: str, across: _Across, up: _Up) -> Iterator[str]:

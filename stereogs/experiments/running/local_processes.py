@@ -21,6 +21,7 @@ from registry.pipeline.pipeline import parse_pipeline
 from registry.pipeline.training_settings import iterations_of_a_run
 from registry.runners import Runner, RunningTask, TrainingTask
 from registry.runs.folder import METRICS, RunFolder
+from registry.system.cores import usable_cores
 from registry.system.files import write_text
 from registry.system.memory import available_bytes
 from registry.training.checkpoint import CHECKPOINT, load_checkpoint
@@ -68,19 +69,12 @@ def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
     """
     if device.kind != "cpu":
         return 1
-    by_cores = _cores() // CORES_PER_RUN
+    by_cores = usable_cores() // CORES_PER_RUN
     free = available_bytes()
     if math.isinf(free):  # unknown
         return 1
     by_memory = int(free / 1e6 // max(peaks_mb, default=MEMORY_PER_RUN_MB))
     return max(1, min(by_cores, by_memory))
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class TrainingProcess(RunningTask):

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from registry.messages.suggestions import counted
 from registry.toolkit.drawing import ViewPictures
-from registry.toolkit.web_page import choice, figure, image, note, pinned, wipe
+from registry.toolkit.web_page import choice, figure, image, note, wipe
+from registry.toolkit.web_page.document import pinned
 
 MAX_VIEWS = 12
 """Largest number of views on a page; each has a render and a depth map per run."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from core_rasterizer import Camera
 from registry import Scene, View
 from registry.messages.suggestions import counted, listing
-from registry.toolkit.views import image_sizes, points_in_view
+from registry.training.scene_facts import image_sizes, points_in_view
 
 MAIN = 4
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +13,7 @@ from torch import Tensor
 from registry import Scene, View
 from registry.messages.suggestions import counted
 from registry.toolkit.drawing import to_bytes, upwards
+from registry.toolkit.drawing.axis_ticks import multiples, round_step
 
 from .labels import Color, Label, draw_labels, write
 
@@ -219,25 +218,15 @@ def _draw_axes(pen: ImageDraw.ImageDraw, plan: Plan) -> list[Text]:
     half = np.array(plan.size) / 2 / plan.scale
     low, high = plan.center - half, plan.center + half
     step = round_step(float((high - low).max()) / _TICK_COUNT)
-    for value in _ticks(low[0], high[0], step):
+    for value in multiples(step, low[0], high[0]):
         column = plan.pixels(np.array([[value, plan.center[1]]]))[0, 0]
         pen.line((column, 0, column, plan.size[1]), _AXES)
         texts.append(((column + 2, plan.size[1] - _FONT_SIZE - 4), f"{value:g}"))
-    for value in _ticks(low[1], high[1], step):
+    for value in multiples(step, low[1], high[1]):
         row = plan.pixels(np.array([[plan.center[0], value]]))[0, 1]
         pen.line((0, row, plan.size[0], row), _AXES)
         texts.append(((2, row + 1), f"{value:g}"))
     return texts
-
-
-def round_step(wanted: float) -> float:
-    """Return the smallest of 1, 2 or 5 times a power of ten that is at least `wanted`."""
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= wanted)
-
-
-def _ticks(low: float, high: float, step: float) -> Sequence[float]:
-    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def _draw_points(picture: Image.Image, plan: Plan, scene: Scene) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from registry import RunError
 from registry.messages.suggestions import counted
-from registry.toolkit.progress import showing
+from registry.toolkit.progress.display import showing
 
 from ...command_line.arguments import add_device
 from ...command_line.command import Command
@@ -84,7 +84,7 @@ class Check(Command):
             from core_rasterizer import open_device
             from registry.pipeline.parts import build_part, load_scene
             from registry.toolkit.drawing import save_png
-            from registry.toolkit.views import warnings
+            from registry.training.scene_facts import warnings
 
             from .facts import MAIN, facts
             from .scene_picture import scene_picture

@@ -12,7 +12,8 @@ from registry.calls.process_state import one_torch_thread
 if TYPE_CHECKING:
     from core_rasterizer import Camera
     from registry.runs.run import Run
-    from registry.toolkit.views import Photographs
+
+    from .where_to_stand import Photographs
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +100,8 @@ def suggestions(
 
 def photographs_of(run: Run) -> Photographs:
     """Return the photographs that a run trained on, with their distances to what they show."""
-    from registry.toolkit.views import Photographs
-
     from .candidates import reaches
+    from .where_to_stand import Photographs
 
     cameras = tuple(view.camera for view in run.scene.train)
     distances = reaches(run.rendering, cameras)

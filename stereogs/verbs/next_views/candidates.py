@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera, Rendering
-    from registry.toolkit.views import Photographs
+
+    from .where_to_stand import Photographs
 
 SIDEWAYS = (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
 UPWARDS = (-1.0, -0.5, 0.0, 0.5, 1.0)

@@ -6,7 +6,9 @@ import json
 from typing import TYPE_CHECKING
 
 from registry.system.files import write_text
-from registry.toolkit.drawing import hatched, save_png
+from registry.toolkit.drawing import save_png
+
+from ...confidence_picture import hatched
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

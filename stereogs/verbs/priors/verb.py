@@ -67,7 +67,8 @@ class Priors(Command):
         """Print the file's properties, try settings and print the best; return 1 if none worked."""
         from core_rasterizer import open_device
         from registry.discovery import Plugins
-        from registry.toolkit.networks import OnnxModel, answers_within
+        from registry.toolkit.networks import OnnxModel
+        from registry.toolkit.networks.onnx_model import answers_within
 
         from .prior_trials import guesses, known_truth
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
-from registry.toolkit.drawing import depth_picture, hatched, to_bytes
+from registry.toolkit.drawing import to_bytes
+from registry.toolkit.drawing.pictures import depth_picture
 
+from ...confidence_picture import hatched
 from .subject import Subject
 
 Channel = Literal["colours", "depth", "alpha", "guesses hatched"]

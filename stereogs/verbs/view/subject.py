@@ -19,7 +19,8 @@ from registry import Scene
 from registry.confidence import Confidence
 from registry.contract.scene import camera_extent
 from registry.runs.run import Run
-from registry.toolkit.drawing import Vector, upwards
+from registry.toolkit.drawing import upwards
+from registry.toolkit.drawing.camera_path import Vector
 from registry.toolkit.photos import Finite, read_document
 from registry.training.initial_model import new_model
 

@@ -8,7 +8,7 @@ import torch
 from torch.nn.functional import avg_pool2d, pad
 
 from registry.confidence import Confidence, Trained
-from registry.toolkit.views import RIGHT
+from registry.toolkit.images import MAX_CORRECT_ERROR
 
 from .coverage import CoverageConfidence
 from .residuals import Residuals
@@ -111,7 +111,7 @@ def probability_of(error: Tensor) -> Tensor:
 
     On left-out views the share of right pixels agrees with it within 0.05 up to a mean of 0.3.
     """
-    return 1 - torch.exp(-RIGHT / error)
+    return 1 - torch.exp(-MAX_CORRECT_ERROR / error)
 
 
 def _plain_share(scene: TrainingScene) -> float:

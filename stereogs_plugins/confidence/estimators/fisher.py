@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from registry.confidence import Confidence, Trained
-from registry.toolkit.views import Painted, same_model
+from registry.toolkit.views import same_model
+
+from .painted import Painted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

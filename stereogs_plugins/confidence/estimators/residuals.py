@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from registry.toolkit.views import Painted, gathered
+from registry.toolkit.views import gathered
+
+from .painted import Painted
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import torch
 
 from registry.confidence import Confidence, Trained
-from registry.toolkit.views import Painted
+
+from .painted import Painted
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 
 from .projection import (
     DepthImage,

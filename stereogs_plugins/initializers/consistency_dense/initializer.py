@@ -141,7 +141,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         self, scene: TrainingScene, selected: Sequence[SelectedDepth]
     ) -> list[DepthImage]:
         """Confirmed depths of each view, without small patches."""
-        from registry.toolkit.photos import in_parallel
+        from registry.toolkit.progress import in_parallel
 
         from .geometric_consistency import without_small_patches
 
@@ -200,7 +200,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     ) -> PointCloud:
         import torch
 
-        from registry.toolkit.photos import in_parallel
+        from registry.toolkit.progress import in_parallel
 
         from .completion.merging import hidden
         from .layers import joined

@@ -6,12 +6,10 @@ Origin of the files: docs/prior_models.md.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-FOLDER_VARIABLE = "STEREOGS_MODELS"
-"""Environment variable with the folder of the files."""
+from registry.toolkit.networks import model_files
 
 NetworkName = Literal["vgg", "alex"]
 
@@ -44,9 +42,6 @@ KNOWN: dict[NetworkName, Files] = {
 
 def known_files(network: NetworkName) -> Files | None:
     """Return a network's default files, or None if one is missing."""
-    root = os.environ.get(FOLDER_VARIABLE)
-    if not root:
-        return None
     known = KNOWN[network]
-    found = known._replace(network=Path(root, known.network), heads=Path(root, known.heads))
-    return found if found.network.is_file() and found.heads.is_file() else None
+    found = model_files(known.network, known.heads)
+    return known._replace(network=found[0], heads=found[1]) if found else None

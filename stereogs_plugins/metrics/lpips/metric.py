@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 import pydantic
 
 from registry import AverageErrorRole, Metric, PluginError, Register, Unavailable, hookimpl
-from registry.toolkit.drawing import ImageMetricSettings
-from registry.toolkit.networks import Sha256
+from registry.toolkit.images import ImageMetricSettings
+from registry.toolkit.networks import MODELS_VARIABLE, Sha256
 
-from .known_files import FOLDER_VARIABLE, KNOWN, NetworkName, known_files
+from .known_files import KNOWN, NetworkName, known_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,7 +77,7 @@ class LPIPS(Metric[LPIPSSettings]):
         Raises:
             PluginError: the files have another hash or do not match the settings.
         """
-        from registry.toolkit.drawing import white_outside
+        from registry.toolkit.images import white_outside
 
         if isinstance(self._distance, Unavailable):
             return self._distance
@@ -116,7 +116,7 @@ class LPIPS(Metric[LPIPSSettings]):
             wanted = KNOWN[name]
             return Unavailable(
                 "no network is set: set `file`, `sha256` and, for features, `heads`, or the variable "
-                f"{FOLDER_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
+                f"{MODELS_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
             )
         try:
             heads = read_heads(found.heads, found.heads_sha256, name)

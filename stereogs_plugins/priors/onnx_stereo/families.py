@@ -13,7 +13,7 @@ from registry.toolkit.networks.image_fitting import ValueRange
 
 if TYPE_CHECKING:
     from registry.toolkit.networks import OnnxModel, OnnxTensor
-    from registry.toolkit.networks.image_fitting import FrozenSize
+    from registry.toolkit.networks.image_fitting import FrozenShape
 
 FamilyName = Literal[
     "foundation_stereo",
@@ -52,7 +52,7 @@ class StereoFamily:
     negated: bool = False
     max_disparity: float | None = None
     stacked: bool = False
-    frozen: FrozenSize = (None, None)
+    frozen: FrozenShape = (None, None)
     confidences: tuple[str, ...] = ()
     published: str = ""
 

@@ -8,7 +8,7 @@ import torch
 from torch.nn.functional import normalize
 
 from registry import PluginError
-from registry.toolkit.drawing import grey
+from registry.toolkit.images import grey
 from registry.toolkit.networks import OnnxModel
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from registry.toolkit.networks.image_fitting import FrozenSize
+    from registry.toolkit.networks.image_fitting import FrozenShape
 
     from .families import StereoFamily
 
@@ -47,7 +47,7 @@ class StereoNetwork:
     ) -> None:
         self.last = models[-1]
         shape = models[0].input(image).shape
-        self.frozen: FrozenSize = (shape[2], shape[3])
+        self.frozen: FrozenShape = (shape[2], shape[3])
         self.batchable = all(spec.shape[0] is None for model in models for spec in model.inputs)
         self.max_disparity = max_disparity
 

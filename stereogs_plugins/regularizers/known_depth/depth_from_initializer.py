@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import HostDefaults, PluginError, Regularizer, Settings, Step
-from registry.toolkit.networks.image_fitting import at_size
+from registry.toolkit.images import at_size
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry.priors import DepthMap, MonocularDepthPrior, MultiViewDepthPrior
-from registry.toolkit.networks.image_fitting import at_size
+from registry.toolkit.images import at_size
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -19,7 +19,7 @@ MATCHER_MARGIN = 0.9
 MIN_MEDIAN = 4.0
 """Pixels: at smaller disparities, sub-pixel errors are large errors in depth."""
 _NEAR, _MIDDLE = 0.05, 0.5
-_SOLID = 0.5
+_SURFACE_ALPHA = 0.5
 """Minimum alpha of a valid rendered depth."""
 
 
@@ -114,7 +114,7 @@ def _depth_range(step: Step, view: TrainingView) -> DepthRange:
     import numpy as np
 
     rendering = step.render(view.camera, gradient=False)
-    solid = rendering.alpha > _SOLID
+    solid = rendering.alpha > _SURFACE_ALPHA
     if not solid.any():
         near, far = step.scene.bounds
         return DepthRange(view, near, 2 / (1 / near + 1 / far))

@@ -24,8 +24,7 @@ from registry import (
     hookimpl,
 )
 from registry.priors import Disparity, StereoPrior
-from registry.toolkit.networks.image_fitting import at_size
-from registry.toolkit.photos import dark_background
+from registry.toolkit.images import at_size, dark_background
 
 from .baseline import BaselineSettings, choose_baseline
 

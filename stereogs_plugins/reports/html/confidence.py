@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
-from registry.toolkit.drawing import ViewPictures, read_confidence
-from registry.toolkit.photos import in_parallel
+from registry import RunError
+from registry.toolkit.drawing import ViewPictures
+from registry.toolkit.progress import in_parallel
 from registry.toolkit.web_page import (
     Cell,
     choice,
@@ -22,6 +24,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+_CONFIDENCE = "confidence"
+"""Subfolder of the folder with the renders, and name of its file of numbers."""
+_NUMBERS = ("sure", "predicted", "measured", "angle")
+"""Of each view: share of sure pixels, PSNR predicted and measured, degrees to the nearest training camera."""
+
 
 def confidence(folder: Path, iterations: int | None) -> str:
     """Return a sentence, a part per view and a table; empty if confidence was not drawn.
@@ -33,7 +40,7 @@ def confidence(folder: Path, iterations: int | None) -> str:
     Raises:
         RunError: the file of numbers is damaged.
     """
-    known = read_confidence(folder / RENDERS)
+    known = _read_confidence(folder / RENDERS)
     if not known.get("views") or known.get("iteration", iterations) != iterations:
         return ""
     views: Mapping[str, Any] = known["views"]
@@ -46,8 +53,29 @@ def confidence(folder: Path, iterations: int | None) -> str:
     return note(text) + choice("view", dict(zip(views, parts, strict=True))) + _table(views)
 
 
+def _read_confidence(renders: Path) -> dict[str, Any]:
+    """Return what `stereogs render --confidence` wrote about the views; empty if it did not.
+
+    Raises:
+        RunError: the file is damaged.
+    """
+    file = renders / _CONFIDENCE / f"{_CONFIDENCE}.json"
+    if not file.is_file():
+        return {}
+    try:
+        content = json.loads(file.read_text("utf-8"))
+        for row in content["views"].values():
+            for name in _NUMBERS:
+                row[name] = float(row[name])
+        content["estimator"] = str(content["estimator"])
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        fix = f"stereogs render {renders.parent} --confidence"
+        raise RunError(f"the file is damaged: {error!r}", where=str(file), fix=fix) from error
+    return dict(content)
+
+
 def _part(name: str, renders: Path) -> str:
-    render, place = ViewPictures.of(name, renders).render, renders / "confidence"
+    render, place = ViewPictures.of(name, renders).render, renders / _CONFIDENCE
     both = wipe(
         image(render, "render"),
         image(place / f"{name}.png", "guessed parts hatched"),

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from registry.toolkit.drawing import RAMP, ViewPictures, depth_ends, ramp_picture, to_bytes
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 from registry.toolkit.web_page import choice, color_scale, figure, grid, image, note, wipe
 
 from .scores import score

@@ -14,7 +14,7 @@ import pydantic
 
 from registry import Register, Report, Scene, Settings, hookimpl
 from registry.toolkit import write_text
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 from registry.toolkit.web_page import (
     Cell,
     choice,

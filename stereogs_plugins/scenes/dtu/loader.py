@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from registry import Fact, Register, Scene, SceneError, SceneLoader, Settings, View, hookimpl
+from registry.toolkit.images import dark_background
 from registry.toolkit.photos import (
     Decoder,
     LoadedPhotos,
     PosedPhoto,
     ResizeFilter,
     at_most,
-    dark_background,
     estimate_bounds,
     list_images,
 )

@@ -6,9 +6,9 @@ from collections import Counter
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from registry import SceneError
-from registry.toolkit.views import words_between
+from registry.toolkit.networks import MODELS_VARIABLE
 
-from .photogrammetry.learned_matches import FOLDER_VARIABLE, known_files
+from .photogrammetry.learned_matches import known_files
 from .photogrammetry.thresholds import ENOUGH_MATCHES, FEW_FEATURES, MANY_MATCHES, MIN_PHOTOS
 from .photogrammetry.two_view import Doubt
 from .picture_files import listed, reason_lines
@@ -166,7 +166,7 @@ def _networks() -> str:
     if known_files() is not None:
         return ""
     return (
-        f"\nor set {FOLDER_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
+        f"\nor set {MODELS_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
         "farther apart (docs/prior_models.md#networks-that-were-run)"
     )
 
@@ -186,7 +186,7 @@ def _bridge(
     _, _, first, second = max(pairs)
     same = "if it shows the same scene" if len(few) == 1 else "if they show the same scene"
     return (
-        f"{same}, take pictures {words_between(names[-second], names[-first])}, each with two thirds of the "
+        f"{same}, take pictures between {names[-second]} and {names[-first]}, each with two thirds of the "
         "previous one"
     )
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry import SceneError
-from registry.toolkit.photos import Size, in_parallel, open_8_bit, upright_size
+from registry.toolkit.photos import Size, open_8_bit, upright_size
+from registry.toolkit.progress import in_parallel
 
 from .photogrammetry.thresholds import EXIF_FOCAL_RANGE, MIN_PHOTOS
 from .picture_files import LeftOut, left_out_lines, readable_pictures

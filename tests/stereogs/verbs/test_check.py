@@ -13,17 +13,25 @@ from PIL import Image
 from core_rasterizer import Camera, ExplainedError
 from registry import PointCloud, Scene, SceneError, View
 from registry.testing import tiny_scene
-from registry.toolkit.views import points_in_view, summary, warnings
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (
     TEST_COLOR,
     TRAIN_COLOR,
     WIDTH,
     make_plan,
-    round_step,
     scene_picture,
 )
-from tests.host import Plugins, main, parse_command, recognize, typical_depth
+from tests.host import (
+    Plugins,
+    main,
+    parse_command,
+    points_in_view,
+    recognize,
+    round_step,
+    summary,
+    typical_depth,
+    warnings,
+)
 from tests.registry.conftest import TOY_ENTRIES, Install
 
 Capture = pytest.CaptureFixture[str]

@@ -12,12 +12,13 @@ from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import PluginError
 from registry.confidence import ConfidenceEstimator, Trained
 from registry.testing import check, tiny_scene
-from registry.toolkit.views import Painted, gathered
+from registry.toolkit.views import gathered
 from stereogs_plugins.confidence.estimators import Calibrated, Coverage, Fisher, Support
 from stereogs_plugins.confidence.estimators.calibrated import (
     CalibratedConfidence,
     probability_of,
 )
+from stereogs_plugins.confidence.estimators.painted import Painted
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.confidence.trained import small
 

@@ -14,9 +14,16 @@ from PIL import Image
 from core_rasterizer import Gaussians, Rendering
 from registry import Fact, RunError
 from registry.testing import tiny_scene
-from registry.toolkit.drawing import save_png, save_view_pictures
+from registry.toolkit.drawing import save_png
 from stereogs_plugins.reports.html import HtmlReport, stereogs_register_reports
-from tests.host import CHECKPOINT, Checkpoint, RunFolder, save_checkpoint, write_json
+from tests.host import (
+    CHECKPOINT,
+    Checkpoint,
+    RunFolder,
+    save_checkpoint,
+    save_view_pictures,
+    write_json,
+)
 from tests.html_page import Page
 from tests.stereogs_plugins.building import build, offered
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 
 from ..layers import is_background
 from ..projection import lift, pixel_centers, pixel_of, project

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from registry import SceneError
-from registry.toolkit.views.triangulation import triangulated_points
+from registry.toolkit.views import triangulated_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 
 from ..layers import Layer, joined, surface
 from ..visibility import in_free_space, on_surface, onto_known_depth, source_indices, visible

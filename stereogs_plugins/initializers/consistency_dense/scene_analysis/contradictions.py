@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 
 from ..image_filters import lowest_and_highest
 from ..projection import lift, pixel_centers, pixel_of, project

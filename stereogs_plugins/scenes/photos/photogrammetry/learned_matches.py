@@ -7,14 +7,13 @@ Their matches are added to those of SIFT, which are more exact.
 
 from __future__ import annotations
 
-import os
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel
+from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel, model_files
 from registry.toolkit.progress import tracked
 
 from . import thresholds
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Scalar = TypeVar("Scalar", np.float32, np.uint32)
-FOLDER_VARIABLE = "STEREOGS_MODELS"
-"""Environment variable with the path of the model folder."""
 FINDER = (
     Path("aliked_lightglue", "aliked_n16.onnx"),
     "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
@@ -37,16 +34,12 @@ MATCHER = (
 """Paths relative to the folder, with SHA-256."""
 
 
-def known_files() -> tuple[Path, Path] | None:
-    """Paths of the two networks in the model folder, or None if one is missing."""
-    root = os.environ.get(FOLDER_VARIABLE)
-    if not root:
-        return None
-    finder, matcher = (Path(root, path) for path, _ in (FINDER, MATCHER))
-    return (finder, matcher) if finder.is_file() and matcher.is_file() else None
+def known_files() -> tuple[Path, ...] | None:
+    """Paths of the two networks in the folder STEREOGS_MODELS, or None if one is missing."""
+    return model_files(FINDER[0], MATCHER[0])
 
 
-def add_learned_matches(files: tuple[Path, Path], images: Path, sift: Path, database: Path) -> None:
+def add_learned_matches(files: tuple[Path, ...], images: Path, sift: Path, database: Path) -> None:
     """Fill a database with unverified keypoints and matches of SIFT and the networks.
 
     Args:

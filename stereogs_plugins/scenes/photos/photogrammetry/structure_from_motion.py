@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from PIL import Image
 
-from registry.toolkit.photos import in_parallel
+from registry.toolkit.progress import in_parallel
 
 from . import thresholds
 from .colmap import (

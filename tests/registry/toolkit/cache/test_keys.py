@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry.toolkit.cache import content_key, package_digest, source_digest
-from registry.toolkit.cache.keys import module_digest
+from registry.toolkit.cache import content_key, source_digest
+from registry.toolkit.cache.keys import module_digest, package_digest
 from tests.host import GROUP
 
 

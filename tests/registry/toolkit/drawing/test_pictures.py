@@ -15,7 +15,6 @@ from registry.testing import tiny_scene
 from registry.toolkit.drawing.camera_path import smooth_path
 from registry.toolkit.drawing.pictures import (
     depth_picture,
-    grey,
     nearness_picture,
     save_png,
     save_view_pictures,
@@ -55,11 +54,6 @@ def test_unknown_nearness_does_not_affect_colors() -> None:
     assert (picture[known].sum(dim=1).diff() > 0).all()
     assert torch.equal(picture, nearness_picture(nearness.where(known, 7.0), known))
     assert not nearness_picture(nearness, torch.zeros_like(known)).any()
-
-
-def test_grey_weighs_the_colors() -> None:
-    colors = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]]])
-    torch.testing.assert_close(grey(colors), torch.tensor([[0.299, 0.587, 0.114, 0.5]]))
 
 
 def test_no_two_views_share_a_file(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from registry.toolkit.networks.image_fitting import Fit, at_size, in_range, padded, stretched
+from registry.toolkit.networks.image_fitting import Fit, in_range, padded, stretched
 
 
 @pytest.mark.parametrize(
@@ -93,11 +93,3 @@ def test_points_are_converted_back_to_the_image() -> None:
     points = torch.tensor([[0.0, 15.0], [96.0, 48.0], [48.0, 31.5], [0.0, 0.0]])
     expected = torch.tensor([[0.0, 0.0], [288.0, 100.0], [144.0, 50.0], [0.0, -15 * 100 / 33]])
     assert torch.allclose(fit.undo_points(points), expected)
-
-
-def test_a_map_at_a_renders_size_keeps_its_values() -> None:
-    pixels = torch.arange(35.0).reshape(5, 7)
-    assert at_size(pixels, 5, 7) is pixels
-    # The middles of three rows and four columns fall into rows 0, 2, 4 and columns 0, 2, 4, 6.
-    assert torch.equal(at_size(pixels, 3, 4), pixels[[0, 2, 4]][:, [0, 2, 4, 6]])
-    assert torch.equal(at_size(pixels > 20, 1, 1), pixels[2:3, 3:4] > 20)

@@ -14,7 +14,8 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from registry import PluginError
-from registry.toolkit.networks import OnnxModel, answers_within, onnx_session
+from registry.toolkit.networks import OnnxModel, onnx_session
+from registry.toolkit.networks.onnx_model import answers_within
 from tests.fuzzing.formats.arrays_and_models import small_network
 from tests.registry.toolkit.networks.conftest import FLOAT, LONG, addition, saved
 

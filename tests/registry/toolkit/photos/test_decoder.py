@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from registry import SceneError
-from registry.toolkit.photos import Decoder, at_most, divided_by, in_parallel
+from registry.toolkit.photos import Decoder, at_most, divided_by
 
 
 @pytest.mark.parametrize(
@@ -48,13 +48,6 @@ def test_the_filter_is_the_configured_one(tmp_path: Path) -> None:
     assert (pixels == 100).all()
     other = Decoder(size=divided_by(2), resize_filter="bicubic").read(tmp_path / "a.png")
     assert (other != 100).any()
-
-
-def test_parallel_work_keeps_its_order_and_its_errors() -> None:
-    assert in_parallel(lambda value: value**2, range(50)) == [value**2 for value in range(50)]
-    with pytest.raises(ZeroDivisionError):
-        in_parallel(lambda value: 1 // value, [1, 0])
-    assert in_parallel(lambda value: value, []) == []
 
 
 def test_resized_photographs_are_cached_by_content(

@@ -55,8 +55,8 @@ def test_it_is_short_and_imports_public_names_only() -> None:
         if isinstance(node, ast.Import | ast.ImportFrom)
         for alias in node.names
     }
-    assert {name for name in imported if name.startswith("registry")} == {
-        "registry",
+    assert {name for name in imported if name.startswith(("registry", "stereogs"))} == {
+        "stereogs.api",
         "registry.toolkit.photos",
     }
 

@@ -17,11 +17,11 @@ from registry.toolkit.photos import (
     Distortion,
     Lens,
     LoadedPhotos,
-    Pixels,
     PosedPhoto,
     longest_side,
     undistort,
 )
+from registry.toolkit.photos.decoder import Pixels
 
 WIDTH, HEIGHT = 160, 120
 

@@ -207,3 +207,10 @@ def test_letters_stand_for_the_bar_where_the_terminal_has_no_lines(clock: Clock)
         module.progress("matching", 33, 66)
         display: Any = module.STAGES.displays[0]
         assert display.bar().plain == "matching  ##########---------- 33/66"
+
+
+def test_parallel_work_keeps_its_order_and_its_errors() -> None:
+    assert in_parallel(lambda value: value**2, range(50)) == [value**2 for value in range(50)]
+    with pytest.raises(ZeroDivisionError):
+        in_parallel(lambda value: 1 // value, [1, 0])
+    assert in_parallel(lambda value: value, []) == []

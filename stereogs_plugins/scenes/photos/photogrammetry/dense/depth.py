@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import torch
 
-from registry.toolkit.drawing import grey
+from registry.toolkit.images import grey
 from registry.toolkit.photos import Lens, undistort
 
 from .. import thresholds

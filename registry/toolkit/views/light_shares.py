@@ -1,4 +1,4 @@
-"""Renders of any numbers that the Gaussians have, instead of their colours."""
+"""Sums over images, weighted by the share of each pixel's light that comes from a Gaussian."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Camera, GaussianReader, Gaussians
-
-CHANNELS = 3
 
 
 def same_model(model: GaussianReader, gaussians: Gaussians | None = None) -> GaussianModel:
@@ -37,7 +35,7 @@ def same_model(model: GaussianReader, gaussians: Gaussians | None = None) -> Gau
 def gathered(
     model: GaussianReader, images: Iterable[tuple[Camera, Tensor]]
 ) -> tuple[Tensor, Tensor]:
-    """Carry images of cameras to the Gaussians: the inverse of painting.
+    """Carry images of cameras to the Gaussians: the adjoint of rendering.
 
     The derivative of a pixel by a Gaussian's colour is its share of the pixel's light, so that one backward
     pass for each camera weights an image by these shares and sums it over the pixels.
@@ -58,32 +56,3 @@ def gathered(
         copy.render(camera).rgb.backward(weights)
     sums, light, _ = (copy.gradient("sh")[:, 0] / SH_C0).unbind(dim=1)
     return sums, light.clamp(min=0)
-
-
-class Painted:
-    """Gaussians with numbers in place of colours.
-
-    Args:
-        model: the Gaussians; later changes of it are not seen.
-        values: `[N, K]`, >= 0.
-    """
-
-    def __init__(self, model: GaussianReader, values: Tensor) -> None:
-        self.width = values.shape[1]
-        gaussians, self._models = model.gaussians(), []
-        for first in range(0, self.width, CHANNELS):
-            colors = torch.zeros(len(values), CHANNELS)
-            part = values[:, first : first + CHANNELS]
-            colors[:, : part.shape[1]] = part
-            # A colour is max(SH_C0 * sh + 0.5, 0).
-            painted = replace(gaussians, sh=((colors - 0.5) / SH_C0)[:, None])
-            self._models.append(same_model(model, painted))
-
-    def render(self, camera: Camera) -> Tensor:
-        """Return `[H, W, K]`: the sum of the values, each weighted by its share of the pixel's light.
-
-        The weights alpha_i * T_i of a pixel add up to the render's alpha, so they are not normalized.
-        """
-        with torch.no_grad():
-            images = [model.render(camera).rgb for model in self._models]
-        return torch.cat(images, dim=2)[..., : self.width]

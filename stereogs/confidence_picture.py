@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ...errors import RunError
-from .pictures import ramp_picture
+from registry.toolkit.drawing import ramp_picture, to_bytes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from torch import Tensor
 
-NUMBERS = ("sure", "predicted", "measured", "angle")
-"""Of each view: share of sure pixels, PSNR predicted and measured, degrees to the nearest training camera."""
 GUESSED = 0.5
 """Confidence below which a pixel counts as guessed."""
 CONFIDENCE = "confidence"
@@ -24,27 +18,6 @@ _FADE = 0.55
 _PERIOD, _WIDTH = 10, 2
 """Pixels between hatching lines, and their width, in an image of 500 pixels."""
 _LINE = (0.15, 0.15, 0.15)
-
-
-def read_confidence(renders: Path) -> dict[str, Any]:
-    """Return what `stereogs render --confidence` wrote about the views; empty if it did not.
-
-    Raises:
-        RunError: the file is damaged.
-    """
-    file = renders / CONFIDENCE / f"{CONFIDENCE}.json"
-    if not file.is_file():
-        return {}
-    try:
-        content = json.loads(file.read_text("utf-8"))
-        for row in content["views"].values():
-            for name in NUMBERS:
-                row[name] = float(row[name])
-        content["estimator"] = str(content["estimator"])
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        fix = f"stereogs render {renders.parent} --confidence"
-        raise RunError(f"the file is damaged: {error!r}", where=str(file), fix=fix) from error
-    return dict(content)
 
 
 def hatched(rgb: Tensor, confidence: Tensor, threshold: float = GUESSED) -> Tensor:
@@ -84,8 +57,6 @@ def with_scale(confidence: Tensor) -> Tensor:
     import numpy as np
     import torch
     from PIL import Image, ImageDraw
-
-    from .pictures import to_bytes
 
     width = confidence.shape[1]
     bar = 32

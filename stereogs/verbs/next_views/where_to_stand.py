@@ -29,11 +29,6 @@ _WIDE = 25.0
 """Degrees around the subject that are mentioned beside the steps."""
 
 
-def words_between(first: str, second: str) -> str:
-    """Return the words for a place between two photographs, by their names."""
-    return f"between {first} and {second}"
-
-
 @dataclass(frozen=True, eq=False)
 class Photographs:
     """The photographs that exist, and what a step is.
@@ -53,7 +48,7 @@ class Photographs:
         """The mean up direction, `[3]` float64, unit length, world axes."""
         import torch
 
-        from ..drawing import upwards
+        from registry.toolkit.drawing import upwards
 
         return torch.from_numpy(upwards(self.cameras))
 
@@ -109,7 +104,7 @@ class Photographs:
             first, second, share = pair
             origin = (1 - share) * self.centers[first] + share * self.centers[second]
             names = self.names[first], self.names[second]
-            where = words_between(*names)
+            where = f"between {names[0]} and {names[1]}"
             if abs(share - 0.5) > _OFF_THE_MIDDLE:
                 where += f", nearer to {names[share > 0.5]}"
         return ", ".join([where, *self._heights(origin, place, target)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from core_rasterizer import Camera
-from registry.toolkit.views import Photographs, words_between
+from stereogs.verbs.next_views.where_to_stand import Photographs
 
 SUBJECT = (0.0, 0.0, 10.0)
 
@@ -58,7 +58,3 @@ def test_a_step_is_the_distance_of_neighbours_within_limits() -> None:
     alone = Photographs(("A",), (at(0.0),), (10.0,))
     assert alone.step == pytest.approx(3.64, abs=0.01), "20 degrees"
     assert ROW.step_words == "A step is 10% of the distance to the subject."
-
-
-def test_words_between_names_both() -> None:
-    assert words_between("left.jpg", "right.jpg") == "between left.jpg and right.jpg"

@@ -9,8 +9,8 @@ from itertools import combinations
 
 import torch
 
-from ...contract.scene import Scene, View
-from ...messages.suggestions import counted
+from ..contract.scene import Scene, View
+from ..messages.suggestions import counted
 
 FEW_POINTS = 100
 """Number of sparse points below which most of a scene is unknown."""
