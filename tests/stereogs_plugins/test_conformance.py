@@ -143,55 +143,76 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
     "exporters.cameras": (needs_nothing,),
     "exporters.gltf": (needs_nothing,),
     "exporters.colmap": (lambda folder: {"text": True},),
+    "exporters.spz": (needs_nothing,),
     "exporters.transforms": (needs_nothing,),
     "reports.html": (needs_nothing,),
 }
+BY_THEMSELVES: dict[str, tuple[Settings, ...]] = {
+    "appearances.exposure": ({},),
+    "densification.co_pruning": ({"distance": 0.1},),
+    "densification.faint_growth": ({"share": 0.5},),
+    "densification.proximity_unpooling": (
+        {},
+        {"size": 0.02, "distance": 0.06, "split_distance": 0.1},
+    ),
+    "densification.relocation": (
+        {},
+        {"dead_opacity": 0.5},
+    ),
+    "densification.unseen_pruning": ({},),
+    "exporters.video": ({"frames": 2},),
+    "modifiers.depth_density_dropout": ({"last_rate": 0.9},),
+    "modifiers.opacity_noise": ({},),
+    "opacity.expected_opacity": ({"rate": 0.2},),
+    "perturbations.held_colors": ({},),
+    "perturbations.position_noise": ({},),
+    "perturbations.size_limit": ({},),
+    "regularizers.cycle_filtered_warping": ({},),
+    "regularizers.depth_smoothness": (
+        {},
+        {"views": "sphere", "by_alpha": True, "first_factor": 4000},
+    ),
+    "regularizers.empty_background": (
+        {},
+        {"squared": True, "dark": 30},
+    ),
+    "regularizers.forward_warping": (
+        {},
+        {"views": "between", "ssim_weight": 0.2},
+    ),
+    "regularizers.gaussian_shape": ({},),
+    "regularizers.near_occlusion": (
+        {},
+        {"share": 1.0},
+    ),
+    "regularizers.virtual_stereo": ({},),
+    "samplers.camera_refinement": ({},),
+    "samplers.coarse_to_fine": ({},),
+    "samplers.independent_views": ({},),
+    "samplers.random_background": ({},),
+    "samplers.resolution_schedule": ({},),
+}
+"""Settings of components that need no files and no priors."""
 ELSEWHERE = {
-    "exporters.spz": "exporters/test_spz.py",
-    "exporters.video": "exporters/test_video.py",
-    "appearances.exposure": "appearances/test_exposure.py",
-    "densification.co_pruning": "densification/test_co_pruning.py",
-    "densification.faint_growth": "densification/test_faint_growth.py",
-    "densification.proximity_unpooling": "densification/test_proximity_unpooling.py",
-    "densification.relocation": "densification/test_relocation.py",
-    "densification.unseen_pruning": "densification/test_unseen_pruning.py",
     "initializer.flow_epipolar": "initializers/two_view/test_flow_epipolar.py",
     "initializer.matched_points": "initializers/two_view/test_matched_points.py",
-    "modifiers.depth_density_dropout": "modifiers/test_depth_density_dropout.py",
-    "modifiers.opacity_noise": "modifiers/test_opacity_noise.py",
     "observers.mlflow": "observers/test_mlflow.py",
     "observers.rerun": "observers/test_rerun.py",
     "observers.tensorboard": "observers/test_tensorboard.py",
     "observers.wandb": "observers/test_wandb.py",
-    "opacity.expected_opacity": "opacity/test_expected_opacity.py",
-    "perturbations.position_noise": "perturbations/test_position_noise.py",
-    "perturbations.held_colors": "perturbations/test_held_colors.py",
-    "perturbations.size_limit": "perturbations/test_size_limit.py",
     "priors.dis_flow": "priors/test_dis_flow.py",
     "priors.onnx_flow": "priors/test_onnx_flow.py",
     "priors.onnx_matching": "priors/test_onnx_matching.py",
     "priors.sift_matches": "priors/test_sift_matches.py",
-    "regularizers.cycle_filtered_warping": "regularizers/unseen_views/test_cycle_filtered_warping.py",
     "regularizers.depth_from_initializer": "regularizers/known_depth/test_depth_from_initializer.py",
     "regularizers.depth_ranking": "regularizers/known_depth/test_depth_ranking.py",
-    "regularizers.depth_smoothness": "regularizers/unseen_views/test_depth_smoothness.py",
     "regularizers.distant_l1": "regularizers/test_distant_l1.py",
-    "regularizers.empty_background": "regularizers/test_empty_background.py",
     "regularizers.field_agreement": "regularizers/unseen_views/test_field_agreement.py",
-    "regularizers.forward_warping": "regularizers/unseen_views/test_forward_warping.py",
-    "regularizers.gaussian_shape": "regularizers/test_gaussian_shape.py",
-    "regularizers.near_occlusion": "regularizers/test_near_occlusion.py",
     "regularizers.parameter_l1": "regularizers/test_parameter_l1.py",
     "regularizers.patch_depth": "regularizers/known_depth/test_patch_depth.py",
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",
-    "regularizers.virtual_stereo": "regularizers/test_virtual_stereo.py",
     "scene.photos": "scenes/photos/test_loader.py",
     "scene.video": "scenes/photos/test_video_file.py",
-    "samplers.camera_refinement": "samplers/test_camera_refinement.py",
-    "samplers.coarse_to_fine": "samplers/test_coarse_to_fine.py",
-    "samplers.independent_views": "samplers/test_independent_views.py",
-    "samplers.random_background": "samplers/test_random_background.py",
-    "samplers.resolution_schedule": "samplers/test_resolution_schedule.py",
 }
 """Tried beside what they need, in files of their own."""
 BY_ANOTHER_PROGRAM = ("exporters.html", "exporters.sog")
@@ -208,7 +229,7 @@ def shipped() -> dict[str, Offer]:
 
 def test_none_is_left_out() -> None:
     offers = shipped()
-    assert sorted([*SHIPPED, *ELSEWHERE, *BY_ANOTHER_PROGRAM]) == sorted(offers)
+    assert sorted([*SHIPPED, *BY_THEMSELVES, *ELSEWHERE, *BY_ANOTHER_PROGRAM]) == sorted(offers)
     for name, file in ELSEWHERE.items():
         tests = (Path(__file__).parent / file).read_text("utf-8")
         assert re.search(rf"check\({offers[name].component.__name__}[,)]", tests), name
@@ -220,3 +241,10 @@ def test_none_is_left_out() -> None:
 def test_it_keeps_the_contract(name: str, write: Write, tmp_path: Path) -> None:
     priors: dict[str, Prior[Any]] = {"matcher": build(BlockMatcher), "wall": build(Wall)}
     check(shipped()[name].component, priors=priors, **write(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), [(name, given) for name, each in BY_THEMSELVES.items() for given in each]
+)
+def test_it_keeps_the_contract_by_itself(name: str, settings: Settings) -> None:
+    check(shipped()[name].component, **settings)

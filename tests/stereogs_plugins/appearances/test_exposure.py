@@ -8,7 +8,7 @@ from torch import Tensor
 
 from core_rasterizer import GaussianModel, open_device
 from registry import Step
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.appearances.exposure import Exposure
 from tests.stereogs_plugins.building import build, some_gaussians
 
@@ -26,10 +26,6 @@ def begun() -> tuple[Exposure, list[Step], tuple[Tensor, ...]]:
 
 def image() -> Tensor:
     return torch.rand(5, 7, 3, generator=torch.Generator().manual_seed(0))
-
-
-def test_it_keeps_the_contract() -> None:
-    check(Exposure)
 
 
 def test_it_begins_as_the_identity() -> None:

@@ -6,7 +6,6 @@ from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry import OtherField, PluginError, Step
-from registry.testing import check
 from stereogs_plugins.densification.co_pruning import CoPruning
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
@@ -31,10 +30,6 @@ def step_beside(own: Tensor, *others: Tensor) -> Step:
     rendering = step.rendering
     step.rendered(lambda: rendering, tuple(beside))
     return step
-
-
-def test_it_keeps_the_contract() -> None:
-    check(CoPruning, distance=0.1)
 
 
 def test_what_has_nothing_within_the_distance_goes() -> None:

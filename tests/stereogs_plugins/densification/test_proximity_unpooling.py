@@ -5,7 +5,7 @@ import torch
 
 from core_rasterizer import Adam, GaussianModel, Gaussians, apply_edit, open_device
 from registry import Step
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.densification.proximity_unpooling import ProximityUnpooling, proximity
 from tests.stereogs_plugins.building import build
 
@@ -19,11 +19,6 @@ def moment(sizes: list[float]) -> tuple[Step, GaussianModel]:
     gaussians = Gaussians.from_points(CROSS, colors, torch.tensor(sizes), opacities, 1)
     model = GaussianModel(gaussians, open_device())
     return step_of(model, tiny_scene(), extent=1.0), model
-
-
-def test_it_keeps_the_contract() -> None:
-    check(ProximityUnpooling)
-    check(ProximityUnpooling, size=0.02, distance=0.06, split_distance=0.1)
 
 
 def test_proximity_is_the_mean_squared_distance_to_three_neighbours() -> None:

@@ -4,14 +4,8 @@ import pytest
 import torch
 
 from core_rasterizer import Adam, apply_edit
-from registry.testing import check
 from stereogs_plugins.densification.relocation import DeadRelocation
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians, step_with
-
-
-def test_it_keeps_the_contract() -> None:
-    check(DeadRelocation)
-    check(DeadRelocation, dead_opacity=0.5)
 
 
 def test_the_dead_become_copies_in_proportion_to_opacity() -> None:

@@ -3,13 +3,8 @@ from __future__ import annotations
 import pytest
 
 from registry import PluginError
-from registry.testing import check
 from stereogs_plugins.densification.unseen_pruning import UnseenPruning
 from tests.stereogs_plugins.building import at_depths, build, step_with
-
-
-def test_it_keeps_the_contract() -> None:
-    check(UnseenPruning)
 
 
 def test_what_no_training_view_shows_goes_and_what_is_hidden_stays() -> None:

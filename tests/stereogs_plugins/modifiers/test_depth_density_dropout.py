@@ -5,13 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from registry.testing import check
 from stereogs_plugins.modifiers.depth_density_dropout import DepthDensityDropout, density
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
-
-
-def test_it_keeps_the_contract() -> None:
-    check(DepthDensityDropout, last_rate=0.9)
 
 
 def test_density_is_minus_the_mean_distance_to_six_neighbours() -> None:

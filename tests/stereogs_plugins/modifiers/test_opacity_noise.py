@@ -3,15 +3,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from registry.testing import check
 from stereogs_plugins.modifiers.opacity_noise import OpacityNoise
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 COUNT = 20_000
-
-
-def test_it_keeps_the_contract() -> None:
-    check(OpacityNoise)
 
 
 def test_is_clamped_normal_noise_about_one() -> None:

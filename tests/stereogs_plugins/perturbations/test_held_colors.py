@@ -4,7 +4,7 @@ import torch
 
 from core_rasterizer import Adam, Edit, GaussianModel, apply_edit, open_device
 from registry import Step
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.perturbations.held_colors import HeldColors
 from tests.host import TrainingSettings, initial_gaussians, new_model
 from tests.stereogs_plugins.building import build
@@ -33,10 +33,6 @@ def disturbed(model: GaussianModel) -> torch.Tensor:
     noise = torch.randn(model.read("sh").shape, generator=torch.Generator().manual_seed(1))
     model.write("sh", model.read("sh") + noise)
     return model.read("sh")
-
-
-def test_it_keeps_the_contract() -> None:
-    check(HeldColors)
 
 
 def test_only_descendants_of_the_kinds_go_back() -> None:

@@ -6,15 +6,11 @@ import pytest
 import torch
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.perturbations.position_noise import PositionNoise, rotations
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
 COUNT = 20_000
-
-
-def test_it_keeps_the_contract() -> None:
-    check(PositionNoise)
 
 
 def test_quaternions_of_any_length_turn_as_scipy_says() -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.perturbations.size_limit import SizeLimit
 from tests.stereogs_plugins.building import build
 
@@ -25,10 +25,6 @@ def limited(means: torch.Tensor, scales: torch.Tensor, angle: float) -> torch.Te
     offsets = build(SizeLimit, angle=angle).offsets(step)
     assert list(offsets) == ["log_scales"]
     return (gaussians.log_scales + offsets["log_scales"]).exp()
-
-
-def test_it_keeps_the_contract() -> None:
-    check(SizeLimit)
 
 
 def test_each_axis_stays_below_its_share_of_the_nearest_cameras_distance() -> None:

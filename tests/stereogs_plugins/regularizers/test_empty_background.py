@@ -7,7 +7,6 @@ import torch
 
 from core_rasterizer import GaussianModel
 from registry import Step
-from registry.testing import check
 from stereogs_plugins.regularizers.empty_background import EmptyBackground
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
@@ -35,11 +34,6 @@ def half() -> torch.Tensor:
     alpha[:, :32] = 1
     alpha[:, 32:40] = 0.25
     return alpha
-
-
-def test_it_keeps_the_contract() -> None:
-    check(EmptyBackground)
-    check(EmptyBackground, squared=True, dark=30)
 
 
 def test_it_is_the_mean_alpha_by_the_background_as_binocular3dgs_has_it() -> None:

@@ -5,7 +5,6 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Gaussians
-from registry.testing import check
 from stereogs_plugins.regularizers.gaussian_shape import GaussianShape
 from tests.stereogs_plugins.building import build, moment_with
 
@@ -31,10 +30,6 @@ def by_hand(scales: Tensor, opacities: Tensor) -> Tensor:
     above, below = opacities[opacities > 0.2], opacities[opacities < 0.2]
     opaque = 1 - (above**2).mean() + ((1 - below) ** 2).mean()
     return 0.002 * (longest / shortest).mean() + 0.001 * (longest**2).mean() + 0.001 * opaque
-
-
-def test_it_keeps_the_contract() -> None:
-    check(GaussianShape)
 
 
 def test_value_and_gradient_are_those_of_the_formula() -> None:

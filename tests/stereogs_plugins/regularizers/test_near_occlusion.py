@@ -4,16 +4,10 @@ from functools import partial
 
 import pytest
 
-from registry.testing import check
 from stereogs_plugins.regularizers.near_occlusion import NearOcclusion
 from tests.stereogs_plugins.building import at_depths, build, moment_with
 
 haze = partial(at_depths, scale=0.2, opacity=0.6)
-
-
-def test_it_keeps_the_contract() -> None:
-    check(NearOcclusion)
-    check(NearOcclusion, share=1.0)
 
 
 def test_only_what_is_nearer_than_freenerfs_sample_counts() -> None:

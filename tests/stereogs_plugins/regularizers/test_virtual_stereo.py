@@ -8,7 +8,7 @@ import torch
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Scene, Step, View
-from registry.testing import check, step_of
+from registry.testing import step_of
 from stereogs_plugins.regularizers.virtual_stereo import (
     VirtualStereo,
     edge_aware_smoothness,
@@ -19,10 +19,6 @@ from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
 def random(*shape: int) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-
-
-def test_it_keeps_the_contract() -> None:
-    check(VirtualStereo)
 
 
 def test_a_whole_disparity_moves_columns_and_leaves_nothing_outside() -> None:

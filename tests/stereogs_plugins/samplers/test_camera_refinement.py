@@ -8,17 +8,13 @@ from torch import Tensor
 
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Scene, View
-from registry.testing import check, step_of
+from registry.testing import step_of
 from stereogs_plugins.samplers.camera_refinement import CameraRefinement, rigid_motion
 from tests.stereogs_plugins.building import build
 
 FOCAL = 60.0
 PIXEL = 1 / FOCAL
 """The rotation, radians, that moves what is in the middle of the image by a pixel."""
-
-
-def test_it_keeps_the_contract() -> None:
-    check(CameraRefinement)
 
 
 def test_the_motion_is_the_exponential_of_its_twist() -> None:

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from registry import Step
-from registry.testing import check
 from stereogs_plugins.samplers.coarse_to_fine import CoarseToFine
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
@@ -15,10 +14,6 @@ from tests.stereogs_plugins.building import build, some_gaussians, step_with
 def step_at(iteration: int) -> Step:
     """Of 1,000."""
     return step_with(some_gaussians([0.1], [0.5]), iteration=iteration)
-
-
-def test_it_keeps_the_contract() -> None:
-    check(CoarseToFine)
 
 
 @pytest.mark.parametrize(("views", "until"), [(3, 0.9), (6, 0.7), (9, 0.5)])

@@ -1,13 +1,9 @@
 from __future__ import annotations
 
 from core_rasterizer import GaussianModel, open_device
-from registry.testing import check, step_of, tiny_scene
+from registry.testing import step_of, tiny_scene
 from stereogs_plugins.samplers.independent_views import IndependentViews
 from tests.stereogs_plugins.building import build, some_gaussians
-
-
-def test_it_keeps_the_contract() -> None:
-    check(IndependentViews)
 
 
 def test_views_come_at_random_with_their_own_camera_and_image() -> None:

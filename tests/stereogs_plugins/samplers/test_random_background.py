@@ -16,10 +16,6 @@ def some_step() -> Step:
     return step_with(some_gaussians([0.1], [0.5]))
 
 
-def test_it_keeps_the_contract() -> None:
-    check(RandomBackground)
-
-
 def test_colours_differ_and_photographs_without_alpha_stay() -> None:
     step, sampler = some_step(), build(RandomBackground)
     samples = [sampler.sample(step, step.sample) for _ in range(50)]

@@ -7,7 +7,6 @@ import torch
 
 from core_rasterizer import GaussianModel, open_device
 from registry import Sample, Step
-from registry.testing import check
 from stereogs_plugins.samplers.resolution_schedule import ResolutionSchedule
 from tests.host import check_sample
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
@@ -24,10 +23,6 @@ def shrunk(step: Step, image: torch.Tensor, shrink: int) -> Sample:
     camera = step.sample.camera.resized(width, height)
     sample = replace(step.sample, camera=camera, target=image)
     return check_sample(build(ResolutionSchedule, shrink=shrink).sample(step, sample), step, sample)
-
-
-def test_it_keeps_the_contract() -> None:
-    check(ResolutionSchedule)
 
 
 def test_a_pixel_is_the_mean_of_those_that_it_covers() -> None:

@@ -7,7 +7,6 @@ import torch
 
 from core_rasterizer import Camera, Rendering
 from registry import Scene, Step, View
-from registry.testing import check
 from stereogs_plugins.regularizers.unseen_views import CycleFilteredWarping
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at
@@ -39,10 +38,6 @@ def step_before_wall(depth_of_virtual: float, gain: float = 1.0, apart: float = 
         return Rendering(rgb, (depth * alpha).requires_grad_(gradient), alpha)
 
     return replace(step, render=render)
-
-
-def test_it_keeps_the_contract() -> None:
-    check(CycleFilteredWarping)
 
 
 def test_a_right_depth_finds_the_colours_and_a_wrong_picture_its_error() -> None:

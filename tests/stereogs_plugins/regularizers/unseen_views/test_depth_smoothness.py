@@ -9,7 +9,6 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
 from registry import Step
-from registry.testing import check
 from stereogs_plugins.regularizers.unseen_views import DepthSmoothness
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 
@@ -33,11 +32,6 @@ def by_loops(depth: Tensor, alpha: Tensor | None) -> float:
             total += float(term if alpha is None else alpha[i, j] * term)
             count += 1
     return total / count
-
-
-def test_it_keeps_the_contract() -> None:
-    check(DepthSmoothness)
-    check(DepthSmoothness, views="sphere", by_alpha=True, first_factor=4000)
 
 
 @pytest.mark.parametrize("by_alpha", [False, True])

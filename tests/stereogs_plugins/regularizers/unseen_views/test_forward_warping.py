@@ -8,17 +8,11 @@ import torch
 from core_rasterizer import Camera, Rendering, open_device, photometric_loss
 from registry import PluginError
 from registry.priors import DepthMap
-from registry.testing import check
 from registry.toolkit.views import virtual_views
 from stereogs_plugins.regularizers.unseen_views import ForwardWarping
 from stereogs_plugins.regularizers.unseen_views.forward_warping import forward_splat
 from tests.host import Bench
 from tests.stereogs_plugins.building import build
-
-
-def test_it_keeps_the_contract() -> None:
-    check(ForwardWarping)
-    check(ForwardWarping, views="between", ssim_weight=0.2)
 
 
 def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
