@@ -140,7 +140,11 @@ def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
         initial.scene,
         trainer.model,
         checkpoint=lambda: _checkpoint(run, trainer, metrics),
-        initialization={**facts, **points.facts, **facts},  # the host's values, in front
+        initialization={
+            **facts,
+            **points.facts,
+            **facts,
+        },  # host's names first, with its values
         pictures=dict(points.pictures),
         seconds=Stages(initial.loading, initial.initialization),
     )

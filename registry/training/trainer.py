@@ -7,8 +7,9 @@ progress, observers, evaluation and checkpoints.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -39,7 +40,7 @@ class Iteration:
     number: int
     loss: float
     gaussians: int
-    logged: Mapping[str, float] = field(default_factory=dict)
+    logged: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 class Trainer:
@@ -89,8 +90,8 @@ class Trainer:
         if checkpoint is not None:
             self.iteration = checkpoint.iteration
             self._views.restore(checkpoint.part("views"))
-            for one in self.fields:
-                one.restore(checkpoint.part)
+            for field in self.fields:
+                field.restore(checkpoint.part)
 
     def run(self) -> Iterator[Iteration]:
         """Train to the last iteration, and yield after each; the caller may stop iterating.
@@ -105,20 +106,20 @@ class Trainer:
                 loss = self._iterate(self.iteration + 1)
             self.iteration += 1
             logged = {
-                f"{one.prefix}{name}": value
-                for one in self.fields
-                for name, value in one.logged.items()
+                f"{field.prefix}{name}": value
+                for field in self.fields
+                for name, value in field.logged.items()
             }
             yield Iteration(self.iteration, loss, self.model.count, logged)
 
     def _iterate(self, iteration: int) -> float:
         view = self._train[self._views.next()]
-        for one in self.fields:
-            one.begin(iteration, view)
+        for field in self.fields:
+            field.begin(iteration, view)
         for stage in (Field.step_terms_alone, Field.render):
-            for one in self.fields:
-                stage(one)
-        losses = [one.differentiate(self.fields) for one in self.fields]
+            for field in self.fields:
+                stage(field)
+        losses = [field.differentiate(self.fields) for field in self.fields]
         # The device is idle after reading the loss, so this check does not wait.
         self._check_parameters()
         for stage in (
@@ -127,17 +128,17 @@ class Trainer:
             Field.step_optimizer,
             Field.perturb,
         ):
-            for one in self.fields:
-                stage(one)
+            for field in self.fields:
+                stage(field)
         if iteration == self.settings.iterations:
             self._check_parameters()
         return losses[0]
 
     def _check_parameters(self) -> None:
         """Refuse Gaussians that the last step made undefined."""
-        for one in self.fields:
+        for field in self.fields:
             try:
-                one.optimizer.check_parameters()
+                field.optimizer.check_parameters()
             except GaussianError as error:
                 error.fix += "; --check-plugins finds a component that writes into the Gaussians"
                 raise
@@ -151,8 +152,8 @@ class Trainer:
         with in_iteration(self.iteration + 1):
             self._check_parameters()
         state = {f"views/{name}": value for name, value in self._views.state().items()}
-        for one in self.fields:
-            state |= one.state(self.iteration)
+        for field in self.fields:
+            state |= field.state(self.iteration)
         for view, known in self._maps.items():
             state |= {f"maps/{view}/{name}": value for name, value in vars(known).items()}
         return state

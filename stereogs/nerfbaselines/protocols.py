@@ -64,12 +64,12 @@ def prepare(path: str, output: str | Path) -> None:
     if scene:
         _write(stereogs.load_scene(pipeline_of(name, _folder(scene))), name, scene, Path(output))
         return
-    for one in load_protocol(name).scenes:
+    for each in load_protocol(name).scenes:
         try:
-            folder = _folder(one)
+            folder = _folder(each)
         except DatasetNotFoundError:
             continue
-        _write(stereogs.load_scene(pipeline_of(name, folder)), name, one, Path(output) / one)
+        _write(stereogs.load_scene(pipeline_of(name, folder)), name, each, Path(output) / each)
 
 
 def pipeline_of(protocol: str, folder: Path | None = None) -> Pipeline:

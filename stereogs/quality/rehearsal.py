@@ -99,13 +99,13 @@ class SharedState:
 
     def __init__(self, parts: Parts) -> None:
         components = [part.component for part in parts.shared]
-        self._saved = [(one, one.generator.get_state(), {**one.state()}) for one in components]
+        self._saved = [(c, c.generator.get_state(), {**c.state()}) for c in components]
 
     def restore(self) -> None:
         """Restore them as they were."""
-        for one, generator, state in self._saved:
-            one.generator.set_state(generator)
-            one.restore(state)
+        for component, generator, state in self._saved:
+            component.generator.set_state(generator)
+            component.restore(state)
 
 
 def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> float:

@@ -200,7 +200,7 @@ def _confidence_of_gaussians(trained: Trained, confidence: Confidence) -> Tensor
 
     cameras = [view.camera for view in trained.scene.train]
     path = smooth_path(cameras, _CAMERAS_PER_VIEW * len(cameras)) if len(cameras) > 1 else cameras
-    sums, light = gathered(trained.model, ((one, confidence.of(one)) for one in path))
+    sums, light = gathered(trained.model, ((camera, confidence.of(camera)) for camera in path))
     return (sums / (light + _MIN_LIGHT)).clamp(0, 1)
 
 

@@ -89,7 +89,7 @@ class Render(Command):
         cameras = smooth_path([view.camera for view in scene.train], count)
         frames = (run.rendering(camera).rgb for camera in cameras)
         if confidence is not None:
-            frames = (hatched(run.rendering(one).rgb, confidence.of(one)) for one in cameras)
+            frames = (hatched(run.rendering(c).rgb, confidence.of(c)) for c in cameras)
         written, note = write_video(frames, folder / "path")
         output.print(f"{note}: {written}")
         return 0

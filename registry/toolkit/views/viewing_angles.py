@@ -41,7 +41,7 @@ def view_angles(camera: Camera, training: Sequence[Camera], subject: Tensor) -> 
     def direction(of: Camera) -> Tensor:
         return torch.nn.functional.normalize((of.center - subject).double(), dim=0)
 
-    own, others = direction(camera), torch.stack([direction(one) for one in training])
+    own, others = direction(camera), torch.stack([direction(other) for other in training])
     nearest = float((others @ own).clamp(-1, 1).max().arccos())
     _, distance = optimize.nnls(others.T.numpy(), own.numpy())  # type: ignore[attr-defined]
     outside = math.asin(min(1.0, float(distance)))
