@@ -257,7 +257,6 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
     return continue_run(path, replace(options or RunOptions(), **changes), Plugins())
 
 
-@one_torch_thread()
 def open_run(
     folder: PathLike,
     *,
@@ -280,14 +279,15 @@ def open_run(
     path = RunFolder.existing(Path(folder).expanduser()).path
     from registry.runs.opening import load_run
 
-    return load_run(
-        path,
-        plugins=Plugins(),
-        device=find_device(device),
-        scene=scene,
-        accept_changed_inputs=accept_changed_inputs,
-        to_train=False,
-    )
+    with one_torch_thread():
+        return load_run(
+            path,
+            plugins=Plugins(),
+            device=find_device(device),
+            scene=scene,
+            accept_changed_inputs=accept_changed_inputs,
+            to_train=False,
+        )
 
 
 def results(folder: PathLike) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def test_commands_are_understood(page: Path) -> None:
         parse_command(shlex.split(command, comments=True)[1:])
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.name in ("tutorial.md", "reference.md")])
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name == "tutorial.md"])
 def test_python_examples_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for source in blocks(page, "python"):
         exec(compile(source, str(page), "exec"), {"__name__": "example"})

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
-from registry.toolkit import spz_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,6 +26,8 @@ class SpzExporter(Exporter[Settings]):
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
+        from registry.toolkit import spz_bytes
+
         path = folder / "scene.spz"
         path.write_bytes(spz_bytes(half_turned(model.gaussians()), _FRACTIONAL_BITS))
         return [path]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from core_rasterizer import SH_C0
 from registry import Observer, Register, TrainingScene, hookimpl
 from registry.events import IterationDone, RunEnded, RunStarted, ViewsScored
 from registry.toolkit import LoggerSettings, optional_module
@@ -33,6 +32,8 @@ class RerunObserver(Observer[LoggerSettings]):
         self._add(done.scalars(), done.iteration)
         picture = self.settings.picture(done)
         if picture is not None:
+            from core_rasterizer import SH_C0
+
             sh = done.model.read("sh")[:, 0]
             centres = self.rerun.Points3D(
                 done.model.read("means").numpy(), colors=(0.5 + SH_C0 * sh).clamp(0, 1).numpy()

@@ -4,7 +4,7 @@ draws from another's random numbers."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -142,7 +142,7 @@ def test_a_component_at_work_draws_from_nobody_elses_numbers(
     chosen = [dropout] if offer is dropout else [offer, dropout]
     trainers: list[Trainer] = []
     calls: list[str] = []
-    made, at_work = Trainer.__init__, Part.at_work
+    made, at_work, called = Trainer.__init__, Part.at_work, Part.call
 
     def remember(self: Trainer, *arguments: Any) -> None:
         made(self, *arguments)
@@ -152,7 +152,13 @@ def test_a_component_at_work_draws_from_nobody_elses_numbers(
         return _leaving_others_alone(self, at_work(self, *arguments, **named), trainers, calls)
 
     monkeypatch.setattr(Trainer, "__init__", remember)
+
+    def watched_call(self: Part, *given: Any, **named: Any) -> Any:
+        with _leaving_others_alone(self, nullcontext(), trainers, calls):
+            return called(self, *given, **named)
+
     monkeypatch.setattr(Part, "at_work", watched)
+    monkeypatch.setattr(Part, "call", watched_call)
     trained(pipeline(*chosen))
     assert calls.count(label(offer)) >= 4
 

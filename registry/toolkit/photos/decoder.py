@@ -262,12 +262,15 @@ def open_8_bit(path: Path, what: str = "the image") -> Iterator[Image.Image]:
         yield file
 
 
-def read_mask(path: Path, size: Size) -> Pixels:
+def read_mask(path: Path, size: Size, *, white_only: bool = False) -> Pixels:
     """Return a mask, `[H, W]` uint8, 255 where pixels count; between where the resized mask has an edge.
 
     A pixel counts if it is not black, whatever the largest value is: 0 and 1, 0 and 255, labels, colours and
     16 bits. A lossy file blurs black, so there a pixel counts from half of the largest value on. In a file
     with transparency that varies, opaque pixels count.
+
+    Args:
+        white_only: Only pure white counts, as in DTU's masks.
 
     Raises:
         SceneError: See `open_image`; also if the mask has another shape than `size`.
@@ -283,11 +286,14 @@ def read_mask(path: Path, size: Size) -> Pixels:
                 where=str(path),
                 fix="make the mask from this photograph, in the same orientation",
             )
-        values = _mask_values(file)
-        least = values.max() / 2 if file.format in _LOSSY else 0
-        binary = Image.fromarray(np.where(values > least, 255, 0).astype(np.uint8))
-        same = binary.size == size
-        return np.asarray(binary if same else binary.resize(size, Image.Resampling.BICUBIC))
+        if white_only:
+            marked = file.convert("L")
+        else:
+            values = _mask_values(file)
+            least = values.max() / 2 if file.format in _LOSSY else 0
+            marked = Image.fromarray(np.where(values > least, 255, 0).astype(np.uint8))
+        same = marked.size == size
+        return np.asarray(marked if same else marked.resize(size, Image.Resampling.BICUBIC))
 
 
 def _mask_values(file: Image.Image) -> NDArray[np.float64]:

@@ -46,7 +46,8 @@ class PosedPhoto:
         world_to_camera: `[4, 4]` float64, OpenCV axes.
         lens: Lens at the size in the camera file; it is scaled to the image's size.
         where: Location in the camera file, for error messages.
-        mask: Path of an image that is white where pixels count in metrics.
+        mask: Path of an image that marks the pixels that count in metrics, see `read_mask`.
+        white_mask: Only pure white counts in it.
     """
 
     name: str
@@ -55,6 +56,7 @@ class PosedPhoto:
     lens: Lens
     where: str
     mask: Path | None = None
+    white_mask: bool = False
 
 
 def usable_photos(photos: Sequence[PosedPhoto], where: str) -> list[int]:
@@ -115,7 +117,11 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
     lens, pixels = _straight(distorted, pixels, photo.where)
     mask = None
     if photo.mask is not None:
-        _, white = _straight(distorted, read_mask(photo.mask, (width, height)), photo.where)
+        _, white = _straight(
+            distorted,
+            read_mask(photo.mask, (width, height), white_only=photo.white_mask),
+            photo.where,
+        )
         mask = torch.from_numpy(white == 255)
     if alpha is not None:
         _, alpha = _straight(distorted, alpha, photo.where)

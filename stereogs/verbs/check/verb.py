@@ -39,7 +39,6 @@ above, with the sparse points.
 
 class Check(Command):
     epilog = _EPILOG
-    computes = True
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
@@ -82,6 +81,7 @@ class Check(Command):
                 arguments.data, Plugins(), format_name=arguments.format, changes=arguments.set
             )
             from core_rasterizer import open_device
+            from registry.calls.process_state import one_torch_thread
             from registry.pipeline.parts import build_part, load_scene
             from registry.toolkit.drawing import save_png
             from registry.training.scene_facts import warnings
@@ -89,7 +89,9 @@ class Check(Command):
             from .facts import MAIN, facts
             from .scene_picture import scene_picture
 
-            scene = load_scene(build_part(found.item, found.seed, open_device(arguments.device)))
+            device = open_device(arguments.device)
+            with one_torch_thread():
+                scene = load_scene(build_part(found.item, found.seed, device))
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         known = facts(scene)

@@ -120,6 +120,7 @@ class DTUScene(SceneLoader[DTUSettings]):
                 lens=found.cameras[number].lens,
                 where=f"{folder}, view {number}",
                 mask=masks.get(number),
+                white_mask=True,
             )
             for number in numbers
         ]

@@ -272,7 +272,7 @@ def test_the_number_of_simultaneous_trainings(
     expected: int,
 ) -> None:
     monkeypatch.setattr(device, "kind", kind)
-    monkeypatch.setattr(local_processes, "_cores", lambda: cores)
+    monkeypatch.setattr(local_processes, "usable_cores", lambda: cores)
     monkeypatch.setattr(local_processes, "available_bytes", lambda: 1e6 * free)
     assert local_processes.default_jobs(device, peaks) == expected
 

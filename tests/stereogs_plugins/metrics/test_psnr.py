@@ -28,7 +28,7 @@ def test_bands_of_rows_do_not_change_it(monkeypatch: pytest.MonkeyPatch) -> None
     mask = first[..., 0] > 0.9
     mask[8:13] = False
     whole = [build(PSNR).measure(first, second, inside) for inside in (None, mask)]
-    monkeypatch.setattr("registry.toolkit.drawing.settings._BAND", 30 * 3)
+    monkeypatch.setattr("registry.toolkit.images._BAND", 30 * 3)
     bands = [build(PSNR).measure(first, second, inside) for inside in (None, mask)]
     assert bands == pytest.approx(whole, abs=1e-12)
 

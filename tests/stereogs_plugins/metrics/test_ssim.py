@@ -53,7 +53,7 @@ def test_bands_of_rows_do_not_change_it(monkeypatch: pytest.MonkeyPatch) -> None
     first, second = images()
     mask = first[..., 0] > 0.1
     whole = [build(SSIM).measure(first, second, outside) for outside in (None, mask)]
-    monkeypatch.setattr("registry.toolkit.drawing.settings._BAND", 31 * 7)
+    monkeypatch.setattr("registry.toolkit.images._BAND", 31 * 7)
     bands = [build(SSIM).measure(first, second, outside) for outside in (None, mask)]
     assert bands == pytest.approx(whole, abs=1e-12)
 

@@ -12,7 +12,7 @@ from registry.toolkit.photos import inside, list_images, read_document, view_nam
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".", "/a", "../a", "a/../../b", "C:/a", "a\\b", "a\0", "a\nb", "x" * 300]
+    "name", ["", ".", "/a", "../a", "a/../../b", "C:/a", "..\\a", "a\0", "a\nb", "x" * 300]
 )
 def test_names_that_leave_the_folder(name: str, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="does not stay inside"):
@@ -20,7 +20,8 @@ def test_names_that_leave_the_folder(name: str, tmp_path: Path) -> None:
 
 
 def test_names_that_stay(tmp_path: Path) -> None:
-    assert inside(tmp_path, "./a/b c.png", "") == tmp_path / "a" / "b c.png"
+    for name in ("./a/b c.png", "a\\b c.png", str(tmp_path / "a" / "b c.png")):
+        assert inside(tmp_path, name, "") == tmp_path / "a" / "b c.png"
 
 
 def test_view_names_are_stems_unless_they_repeat() -> None:

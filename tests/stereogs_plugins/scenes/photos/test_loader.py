@@ -65,7 +65,7 @@ def test_the_split_and_its_points(folder: Path, entry: Path) -> None:
     assert fewer.points is not None
     assert 0 < len(fewer.points) < len(scene.points)
     assert fewer.bounds[0] < fewer.bounds[1]
-    with pytest.raises(SceneError, match="only 3 are not test views"):
+    with pytest.raises(SceneError, match="only 3 photographs are not test views"):
         load(folder, test_every=3, train_views=4)
 
 
