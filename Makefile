@@ -35,7 +35,7 @@ notebook: $(VENV)/.dev ## the notebook in docs/examples, cell by cell; one of th
 # Without what it depends on: it asks for numpy 1, and works with numpy 2.
 nerfbaselines: $(VENV)/.dev ## the method wrapper for NerfBaselines against the real package
 	$(PIP) --no-deps --upgrade --target $(VENV)/nerfbaselines nerfbaselines tqdm click
-	PYTHONPATH=$(VENV)/nerfbaselines $(BIN)/python -m pytest tests/stereogs
+	PYTHONPATH=$(VENV)/nerfbaselines $(BIN)/python -m pytest tests/stereogs/nerfbaselines
 
 flight: $(VENV)/.runtime ## the README's moving picture, made anew
 	$(BIN)/python docs/images/make_flight.py

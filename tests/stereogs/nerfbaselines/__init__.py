@@ -1,0 +1,1 @@
+"""Tests of `stereogs.nerfbaselines`, which import its modules."""
