@@ -126,7 +126,7 @@ def in_iterations(settings: Mapping[str, Node], iterations: int) -> dict[str, No
         shares[name] = Fraction(share[1])
         if not shares[name] and name in ("stop", "every"):
             raise node.place.error(
-                f"{name} is 0% of the iterations, which is no iteration",
+                f"{name} is 0% of the iterations",
                 fix="write a larger share, or `enabled: false` to switch the component off",
             )
         exact = shares[name] * iterations / 100  # with floats, 57 % of 10,000 is 5,699

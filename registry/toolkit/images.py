@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 MAX_CORRECT_ERROR = 0.1
-"""Largest mean difference of a pixel's channels from a photograph that is no error; colours in [0, 1]."""
+"""Up to this mean difference of its channels from the photograph a pixel is correct; colours in [0, 1]."""
 MIN_SQUARED_ERROR = 1e-10
 """Lower bound of the mean squared error: equal images score 100 dB, not infinity."""
 _MIN_CONFIDENCE, _MAX_CONFIDENCE = 0.02, 0.9999

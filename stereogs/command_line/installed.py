@@ -52,7 +52,7 @@ _OPTIONS = {
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb of the command line, not imported yet; the entry point of an own verb has no group."""
+    """A verb of the command line, not imported yet; the entry points of our own verbs have an empty group."""
 
     entry: EntryPoint
 

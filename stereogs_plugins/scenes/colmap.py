@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from registry import Register, Scene, SceneLoader, hookimpl
+from registry import Register, Scene, SceneError, SceneLoader, hookimpl
 from registry.toolkit.photos import (
     ColmapModel,
     ImageSourceSettings,
@@ -17,6 +17,7 @@ from registry.toolkit.photos import (
     SplitSettings,
     colmap_models,
     count_images,
+    decoding,
     estimate_bounds,
     inside,
     read_colmap_model,
@@ -112,8 +113,13 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         listed = model / "test.txt"
         if self.settings.test_every is not None or not listed.is_file():
             return self.settings.split(len(names), str(model))
-        tested = {*listed.read_text("utf-8-sig").splitlines()}
+        fix = "write a name of the model in each line, or ignore the file with `test_every`"
+        with decoding("the list of test views", listed, fix):
+            tested = {*filter(None, map(str.strip, listed.read_text("utf-8-sig").splitlines()))}
         test = [k for k, name in enumerate(names) if name in tested]
+        if tested and not test:
+            what = "the list of test views names no image of the model"
+            raise SceneError(what, where=str(listed), fix=fix)
         pool = [k for k in range(len(names)) if k not in test]
         return self.settings.chosen(pool, str(listed)), test, "the file's, evenly spaced"
 

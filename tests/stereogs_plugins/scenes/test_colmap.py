@@ -226,6 +226,18 @@ def test_the_split_that_the_exporter_writes_is_read(tmp_path: Path) -> None:
     assert len(load(folder, test_every=0).train) == 9
 
 
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"other.png\n"], ids=["bytes", "names"])
+def test_a_list_of_test_views_that_cannot_be_used_is_refused(
+    content: bytes, tmp_path: Path
+) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "sparse" / "0" / "test.txt").write_bytes(content)
+    with pytest.raises(SceneError, match="the list of test views") as caught:
+        load(folder)
+    assert "test_every" in caught.value.fix
+    assert len(load(folder, test_every=0).train) == 9
+
+
 def rewrite(folder: Path, name: str, change: Callable[[str], str]) -> None:
     path = folder / "sparse" / "0" / name
     path.write_bytes(change(path.read_text()).encode())
