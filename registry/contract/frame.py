@@ -20,6 +20,8 @@ TYPICAL_DEPTH = 8.0
 """Geometric mean of the depth bounds in the frame of training."""
 NEAREST = 0.4
 """Smallest near bound in that frame: twice the near plane of the engine."""
+_STEP = 2.0**-26
+"""Step of the cameras' translations in that frame, far below what a pixel shows."""
 _ROUNDING = 0.382
 """Offset of the centre's rounding: symmetric scenes would often be on the border of one half."""
 
@@ -71,8 +73,12 @@ class Frame:
 
     def camera_of_file(self, camera: Camera) -> Camera:
         """Return a camera of the file in the frame of training."""
+        if self == IN_FILE:
+            return camera
         rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-        return _at(camera, (translation + rotation @ self._center) / self.unit)
+        moved = (translation + rotation @ self._center) / self.unit
+        # Far from the origin, poses in double precision have rounding errors, which must not change a bit.
+        return _at(camera, (moved / _STEP).round() * _STEP)
 
     def camera_in_file(self, camera: Camera) -> Camera:
         """Return a camera of training in the file's coordinates."""

@@ -27,9 +27,9 @@ from ..pipeline.pipeline import Pipeline
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
+from ..training.placed import PlacedConfidence, PlacedGaussians
 from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, evaluate, quick
-from .placed import PlacedConfidence, PlacedGaussians
 
 
 @dataclass

@@ -18,7 +18,7 @@ from nerfbaselines import Cameras, Dataset, Method, MethodInfo, ModelInfo, Rende
 import stereogs
 from core_rasterizer import Model, OpenCLEngine, load_ply
 from registry import Frame, SceneError
-from registry.runs.placed import PlacedGaussians
+from registry.training.placed import PlacedGaussians
 
 PIPELINE = "weightfree_fast"
 """The default of the setting `pipeline`."""

@@ -160,8 +160,8 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
     import torch
 
     from core_rasterizer import Gaussians
-    from registry.runs.placed import PlacedGaussians
     from registry.training.initial_model import new_model
+    from registry.training.placed import PlacedGaussians
 
     if not kinds and min_confidence is None:
         return run.model

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 class CoPruningSettings(Settings):
     distance: float = Field(gt=0)
-    """In units of the scene's files; a Gaussian is kept if every other field has a centre within this distance. CoR-GS, in
-    COLMAP's units: 5 on LLFF, 10 on DTU, 20 on Mip-NeRF 360."""
+    """In units of the scene's files; a Gaussian is kept if every other field has a centre within this
+    distance. CoR-GS, in COLMAP's units: 5 on LLFF, 10 on DTU, 20 on Mip-NeRF 360."""
 
 
 class CoPruning(Densification[CoPruningSettings]):

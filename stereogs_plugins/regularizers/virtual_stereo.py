@@ -28,7 +28,7 @@ class VirtualStereoSettings(Settings):
     """The shift is uniform in [-max_shift, max_shift]. The default is the authors', for COLMAP's world
     units, where near content then moves by at most 10 pixels."""
     unit: Literal["world", "baseline"] = "world"
-    """Unit of `max_shift`: that of the scene's files, or the distance to the nearest other training camera."""
+    """Unit of `max_shift`: that of the scene's files, or the distance to the nearest other camera."""
     depth: Literal["accumulated", "expected"] = "accumulated"
     """Rendered depth: as blended (the paper), which is too small where dropout or decay reduce alpha; or
     divided by alpha, at pixels with an alpha above 0.3 that show no background in a photograph with alpha."""
