@@ -25,7 +25,7 @@ from core_rasterizer import (
     reference,
     self_test as self_test_module,
 )
-from core_rasterizer.device import Description, Trial, choose, compiled, drivers, trial
+from core_rasterizer.device import Description, Trial, choose, drivers, trial
 from core_rasterizer.device.profile import FEW
 
 INFINITE = math.inf
@@ -110,7 +110,7 @@ def test_a_full_disk_is_named_before_the_compiler_ends_the_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10**5))
-    assert compiled.problem_of(tmp_path) == "has 0.1 MB of free space"
+    assert drivers.problem_of(tmp_path) == "has 0.1 MB of free space"
 
 
 def test_a_trial_is_remembered_for_each_device_and_driver(
