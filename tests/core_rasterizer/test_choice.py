@@ -108,7 +108,7 @@ def test_without_a_writable_home_kernels_are_compiled_in_a_temporary_folder(tmp_
 def test_a_full_disk_is_named_before_the_compiler_ends_the_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled.shutil, "disk_usage", lambda folder: SimpleNamespace(free=10**5))
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=10**5))
     assert compiled.problem_of(tmp_path) == "has 0.1 MB of free space"
 
 
