@@ -64,7 +64,7 @@ def pocl_cache() -> Path:
         return Path(given)
     if os.environ.get("XDG_CACHE_HOME") or os.environ.get("HOME"):
         return _caches() / "pocl" / "kcache"
-    return Path("/tmp/pocl/kcache")
+    return Path("/tmp") / "pocl" / "kcache"
 
 
 def problem_of(folder: Path) -> str:
