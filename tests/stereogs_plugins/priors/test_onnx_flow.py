@@ -89,5 +89,8 @@ def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
     path = graphs.flow_of_brightness(tmp_path / "three.onnx", (1.0, 1.0), channels=3)
     with pytest.raises(PluginError, match=r"\[1, 3, 32, 48\], expected \[1, 2, 32, 48\]"):
         flow(path).flow(flat(BRIGHT), flat(DARK))
+    assert not OnnxFlow.settings_for(OnnxFlow.Settings(model=path).open())
+    good = graphs.flow_of_brightness(tmp_path / "two.onnx", (1.0, 1.0))
+    assert OnnxFlow.settings_for(OnnxFlow.Settings(model=good).open())
     with pytest.raises(PluginError, match="no output 'flow'"):
         flow(path, output="flow")
