@@ -72,15 +72,26 @@ def train_prepared(
     run, trainer, metrics = _new_run(initial)
     writing = ""
     if out is not None:
-        folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
-        run.keep_in(folder)
-        writing = f"; writing {folder}"
+        writing = f"; writing {_keep(run, out)}"
     STAGES.begin(None)
     device = initial.parts.device.name
     options.console().print(f"{len(initial.points):,} points; {device}{writing}")
     with run.folder.locked() if run.folder else nullcontext():
         _train_to_end(run, trainer, metrics, options, resumed=False)
     return run
+
+
+def _keep(run: Run, out: Path | ChooseFolder) -> Path:
+    """Create the run folder, and return its path."""
+    folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
+    while True:
+        try:
+            run.keep_in(folder)
+            return folder
+        except RunError:
+            if isinstance(out, Path) or (other := out(run.pipeline, run.scene)) == folder:
+                raise
+            folder = other  # another training took the name meanwhile
 
 
 def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
