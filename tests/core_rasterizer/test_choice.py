@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +25,7 @@ from core_rasterizer import (
     reference,
     self_test as self_test_module,
 )
-from core_rasterizer.device import Description, Trial, choose, compiled, drivers, trial
+from core_rasterizer.device import Description, Trial, choose, drivers, trial
 from core_rasterizer.device.profile import FEW
 
 INFINITE = math.inf
@@ -108,8 +109,8 @@ def test_without_a_writable_home_kernels_are_compiled_in_a_temporary_folder(tmp_
 def test_a_full_disk_is_named_before_the_compiler_ends_the_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled.shutil, "disk_usage", lambda folder: SimpleNamespace(free=10**5))
-    assert compiled.problem_of(tmp_path) == "has 0.1 MB of free space"
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10**5))
+    assert drivers.problem_of(tmp_path) == "has 0.1 MB of free space"
 
 
 def test_a_trial_is_remembered_for_each_device_and_driver(
