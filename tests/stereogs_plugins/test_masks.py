@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import stereogs
-from core_rasterizer import Camera, GaussianReader, Rendering
+from core_rasterizer import Camera, Rendering
 from registry import PointCloud, Scene, View
 from registry.testing import step_of
 from stereogs_plugins.exporters.colmap import ColmapExporter
@@ -119,7 +119,7 @@ def test_what_only_excluded_pixels_show_is_not_in_the_render(name: str) -> None:
 )
 def test_exported_photographs_keep_their_masks(exporter: Any, loader: Any, tmp_path: Path) -> None:
     masked = scene(True)
-    file, *_ = build(exporter).export(GaussianReader(model().model), masked, tmp_path)
+    file, *_ = build(exporter).export(model().model, masked, tmp_path)
     folder = tmp_path / file.relative_to(tmp_path).parts[0]
     for view, read in zip(masked.train, build(loader, path=folder).load().train, strict=True):
         assert view.weights is not None
@@ -155,19 +155,23 @@ def test_terms_learn_nothing_in_excluded_pixels(
     term: Any, settings: dict[str, Any], prior: Any, masked: bool
 ) -> None:
     run = model()
-    view = painted(room().train[0], masked)
-    images = run.render(view.camera)
-    rgb, depth, alpha = leaves = [torch.tensor(image, requires_grad=True) for image in images]
+    place = square(room().train[0].camera)
+    train = (painted(room().train[0], masked), *room().train[1:])
+    framed = replace(room(), train=train).in_frame(run.frame)
+    seen = run.engine_model.render(framed.train[0].camera).detach()
+    rgb, depth, alpha = leaves = [
+        image.clone().requires_grad_() for image in (seen.rgb, seen.depth, seen.alpha)
+    ]
     step = step_of(
-        run.model,
-        replace(room(), train=(view, *room().train[1:])),
+        run.engine_model,
+        framed,
         rendering=Rendering(rgb, depth, alpha),
         priors={} if prior is None else {"prior": build(prior)},
     )
     build(term, **settings).loss(step).backward()
     gradients = [leaf.grad for leaf in leaves if leaf.grad is not None]
     assert any(gradient.any() for gradient in gradients)
-    excluded = [bool(gradient[square(view.camera)].any()) for gradient in gradients]
+    excluded = [bool(gradient[place].any()) for gradient in gradients]
     assert any(excluded) != masked
 
 
