@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 import torch
 
+from registry import OpacityUpdate, PluginError
 from registry.contract.checks.answers import check_opacity_scale, check_opacity_update
-from registry.contract.components import OpacityUpdate
-from registry.errors import PluginError
 
 Check = Callable[[torch.Tensor, Any], object]
 
