@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         Tracks as Tracks,
         read_colmap_model as read_colmap_model,
     )
+    from .copies import Impression as Impression
     from .decoder import (
         BACKGROUNDS as BACKGROUNDS,
         HEIF_SUFFIXES as HEIF_SUFFIXES,
