@@ -104,7 +104,10 @@ _HOST = {
     "registry/pipeline/parts.py": _TRAINING,
     "registry/training/field.py": _TRAINING,
     "registry/training/trainer.py": _TRAINING,
-    "registry/runs/origin.py": "tests/registry/runs/test_inputs.py",
+    "registry/runs/origin.py": "tests/registry/runs/test_inputs.py "
+    "tests/registry/runs/test_source_code.py",
+    "registry/runs/results.py": "tests/registry/runs/test_results.py "
+    "tests/registry/runs/test_training_run.py",
 }
 _PHOTOS = "tests/stereogs_plugins/scenes/photos/"
 _LOADERS = {
