@@ -109,8 +109,9 @@ def _changes(mask: str, python: bool) -> Iterator[tuple[int, int, str]]:
         yield *found.span(), str(int(float(number)) + 1) if whole else f"10 * {found[0]}"
     for found in _PAIR.finditer(mask):
         yield *found.span(), f"{found[2]}, {found[1]}"
-    if (found := _STATEMENT.match(mask)) and found[2].count("(") == found[2].count(")"):
-        yield len(found[1]), len(mask), "pass" if python else ";"
+    statement = _STATEMENT.match(mask)
+    if statement and statement[2].count("(") == statement[2].count(")"):
+        yield statement.end(1), len(mask), "pass" if python else ";"
 
 
 def _without_texts(text: str) -> str:
