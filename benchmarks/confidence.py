@@ -169,13 +169,12 @@ def left_out(seed: int = 0) -> Iterator[tuple[NDArray[np.float64], NDArray[np.fl
     draw = np.random.default_rng(seed)
     for case, fold in product(CASES, range(FOLDS)):
         run = trained(scene_of(case, fold), seed)
-        confidence = run.confidence(OURS)
+        confidence = run.trained.confidence(OURS)
         assert isinstance(confidence, CalibratedConfidence)
         for view in run.scene.test:
             with one_torch_thread():
-                parts = [
-                    _inside(torch.as_tensor(e), view) for e in confidence.evidence(view.camera)
-                ]
+                camera = run.frame.camera_of_file(view.camera)
+                parts = [_inside(torch.as_tensor(e), view) for e in confidence.evidence(camera)]
             errors, _ = _errors(run, view)
             chosen = draw.permutation(len(errors))[:SAMPLES]
             yield np.stack(parts, axis=1)[chosen], errors[chosen]

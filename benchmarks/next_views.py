@@ -117,7 +117,7 @@ class RecordedSets:
 def _psnr(run: Run) -> float:
     with one_torch_thread():
         metrics = [part for part in run.parts["metrics"] if part.item.name == "psnr"]
-        mean = evaluate(run.model, run.scene, run.scene.test, metrics).mean["psnr"]
+        mean = evaluate(run.engine_model, run.framed, run.framed.test, metrics).mean["psnr"]
     if mean is None:
         raise RunError(
             "a view has no score",

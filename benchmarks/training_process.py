@@ -56,7 +56,7 @@ def measure(folder: Path, device: str | None) -> dict[str, Any]:
     (folder / RENDERS).mkdir(parents=True, exist_ok=True)
     with one_torch_thread():
         scores = evaluate(
-            run.model, run.scene, run.scene.test, run.parts["metrics"], folder / RENDERS
+            run.engine_model, run.framed, run.framed.test, run.parts["metrics"], folder / RENDERS
         )
     missing = [*scores.unavailable.values(), *(error.what for error in scores.failures.values())]
     if missing:
@@ -65,7 +65,7 @@ def measure(folder: Path, device: str | None) -> dict[str, Any]:
             where=str(folder / PIPELINE),
             fix="set STEREOGS_MODELS to the folder with the networks for LPIPS (docs/prior_models.md)",
         )
-    around = circumstances(run.pipeline, run.model.engine)
+    around = circumstances(run.pipeline, run.engine_model.engine)
     # The time is the end of the run; the command is this process's, not the pipeline's.
     around["ended"], _ = around.pop("started"), around.pop("command")
     return {

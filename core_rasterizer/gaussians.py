@@ -24,7 +24,7 @@ class Gaussians:
     """N Gaussians as plain torch tensors on the CPU.
 
     Args:
-        means: `[N, 3]` centres, world units.
+        means: `[N, 3]` centres, world units; float32, or float64 in files and exports.
         log_scales: `[N, 3]` natural logarithms of the standard deviations along the Gaussian's axes.
         quaternions: `[N, 4]` rotations (w, x, y, z) of non-zero length; normalized on use.
         opacity_logits: `[N]`; opacity = sigmoid(logit).
@@ -65,6 +65,14 @@ class Gaussians:
     def sh_degree(self) -> int:
         """Degree of `sh`, 0 to 3."""
         return math.isqrt(self.sh.shape[1]) - 1
+
+    @property
+    def needs_double(self) -> bool:
+        """Whether rounding the means to float32 would move them by more than 1 % of a typical scale."""
+        if self.means.dtype != torch.float64 or not len(self):
+            return False
+        rounding = float((self.means.float() - self.means).abs().max())
+        return rounding > 0.01 * float(self.log_scales.median().exp())
 
     def check_finite(self) -> Gaussians:
         """Return self if every parameter is finite.

@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 def save_ply(
     gaussians: Gaussians, path: str | Path, attributes: Mapping[str, Tensor] | None = None
 ) -> int:
-    """Write Gaussians to a PLY file as float32, atomically.
+    """Write Gaussians to a PLY file, atomically: float32, and means far from the origin float64.
 
     Rows with a value that is not finite are omitted, because viewers fail on them.
 
@@ -74,8 +74,7 @@ def save_ply(
     rest = gaussians.sh[:, 1:].transpose(1, 2).flatten(1)
     columns = torch.cat(
         [
-            gaussians.means,
-            torch.zeros_like(gaussians.means),
+            torch.zeros_like(gaussians.log_scales),
             gaussians.sh[:, 0],
             rest,
             gaussians.opacity_logits[:, None],
@@ -86,15 +85,24 @@ def save_ply(
         dim=1,
     )
     columns = columns.detach().to("cpu", torch.float32)
-    finite = torch.isfinite(columns).all(dim=1)
+    means = gaussians.means.detach().to("cpu")
+    finite = torch.isfinite(columns).all(dim=1) & torch.isfinite(means).all(dim=1)
     dropped = count - int(finite.sum())
     if dropped:
         _log.warning("%s: omitted %d of %d Gaussians that are not finite", path, dropped, count)
-        columns = columns[finite]
+        columns, means = columns[finite], means[finite]
     rest_names = tuple(f"{_REST}{i}" for i in range(rest.shape[1]))
-    names = (*_POSITION, *_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
+    names = (*_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     names += tuple(attributes or {})
-    rows = columns.contiguous().numpy().view([(name, "<f4") for name in names])[:, 0]
+    position = "<f8" if gaussians.needs_double else "<f4"
+    if gaussians.needs_double:
+        _log.warning("%s: positions far from the origin are written as float64", path)
+    types = [(name, position) for name in _POSITION] + [(name, "<f4") for name in names]
+    rows = np.empty(len(columns), types)
+    for name, values in zip(_POSITION, means.numpy().T, strict=True):
+        rows[name] = values
+    for name, values in zip(names, columns.numpy().T, strict=True):
+        rows[name] = values
     from plyfile import PlyData, PlyElement
 
     vertex = PlyElement.describe(rows, "vertex")
@@ -150,8 +158,8 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
     """Read coloured points from a PLY file: a point cloud, or the centres of a Gaussian scene.
 
     Returns:
-        Positions `[P, 3]` in the file's units, and colours `[P, 3]` in [0, 1]; P may be 0. Colours are
-        the constant SH band, or red, green, blue (whole numbers up to 255, or floats up to 1).
+        Positions `[P, 3]` in the file's units and precision, and colours `[P, 3]` in [0, 1]; P may be 0.
+        Colours are the constant SH band, or red, green, blue (whole numbers up to 255, or floats up to 1).
 
     Raises:
         PlyError: the file is missing, truncated, not a PLY, lacks positions or colours, or has a value
@@ -268,8 +276,9 @@ def _rest_names(available: set[str], path: Path) -> list[str]:
 
 
 def _column(vertex: NDArray[np.void], name: str, path: Path) -> Tensor:
+    double = name in _POSITION and vertex[name].dtype.itemsize == 8
     with np.errstate(over="ignore"):  # infinities are rejected below
-        column: NDArray[np.float32] = vertex[name].astype(np.float32)
+        column = vertex[name].astype(np.float64 if double else np.float32)
     finite = np.isfinite(column)
     if not finite.all():
         row = int(np.argmin(finite))

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         Unavailable as Unavailable,
         ViewMetric as ViewMetric,
     )
+    from .contract.frame import Frame as Frame
     from .contract.hook_points import (
         API_VERSION as API_VERSION,
         Register as Register,

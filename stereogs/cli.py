@@ -20,6 +20,7 @@ from registry.calls.process_state import one_torch_thread
 from registry.errors import PluginError
 from registry.messages.suggestions import did_you_mean, listing
 from registry.messages.terminal import CommandParser, HelpFormatter
+from registry.system.memory import FREE_MEMORY, out_of_memory
 
 from .command_line.arguments import add_verb
 from .command_line.installed import verbs
@@ -121,6 +122,9 @@ def _run(parsed: argparse.Namespace, verb: str) -> int:
     except (ExplainedError, OSError):
         raise
     except Exception as error:
+        if out_of_memory(error):
+            what = f"memory ran out: {type(error).__name__}: {error}"
+            raise ExplainedError(what, where=f"stereogs {verb}", fix=FREE_MEMORY) from error
         raise PluginError(
             f"the verb {verb!r} failed: {type(error).__name__}: {error}",
             where=f"{verbs()[verb].owner}, module {type(parsed.command).__module__}",

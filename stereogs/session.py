@@ -35,7 +35,7 @@ from registry.runs.options import RunOptions, find_device
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from core_rasterizer import Camera, Device, Engine, Model
+    from core_rasterizer import Camera, Device, Engine, GaussianReader, Model
     from registry.runs.evaluation import Picture
     from registry.runs.run import Run
 
@@ -300,7 +300,7 @@ def results(folder: PathLike) -> dict[str, Any]:
 
 
 def render(
-    source: Run | Model,
+    source: Run | GaussianReader | Model,
     camera: Camera,
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -308,12 +308,15 @@ def render(
     """Render a camera as numpy arrays: rgb `[H, W, 3]` in [0, 1], depth and alpha `[H, W]`.
 
     Args:
-        source: a run, rendered on its own background, or Gaussians.
+        source: a run, rendered on its own background, or Gaussians; `Run.model` too takes cameras of the
+            scene's files.
         background: colour behind Gaussians, three numbers in [0, 1].
     """
-    from registry.runs.evaluation import as_arrays, clamped_render
+    from core_rasterizer import GaussianReader
+    from registry.runs.evaluation import as_arrays
     from registry.runs.run import Run
 
     if isinstance(source, Run):
         return source.render(camera)
-    return as_arrays(clamped_render(source, camera, background))
+    reader = source if isinstance(source, GaussianReader) else GaussianReader(source)
+    return as_arrays(reader.render(camera, background=background))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import DeviceError
+from .drivers import no_device
 
 _VERSION = 2
 """Version of the measurement; remembered results of other versions are ignored."""
@@ -56,10 +57,7 @@ def choose(
         DeviceError: no device exists, or none has this name.
     """
     if not devices:
-        raise DeviceError(
-            "no OpenCL platform was found",
-            fix="install a driver: `pip install pocl-binary-distribution` brings one for any CPU",
-        )
+        raise no_device()
     wanted = name if name is not None else os.environ.get("STEREOGS_DEVICE")
     if wanted:
         for position, device in enumerate(devices):

@@ -13,6 +13,7 @@ import torch
 
 from ..errors import DeviceError
 from .choice import Description, choose
+from .drivers import platforms
 from .memory import DeviceMemory
 from .profile import DeviceProfile, Variant
 from .program import Program
@@ -174,11 +175,7 @@ def _seconds() -> list[float]:
 
 @cache
 def _devices() -> tuple[Device, ...]:
-    try:
-        platforms = cl.get_platforms()
-    except cl.Error:  # raised when no platform is installed
-        return ()
-    return tuple(device for platform in platforms for device in _devices_of(platform))
+    return tuple(device for platform in platforms() for device in _devices_of(platform))
 
 
 def _devices_of(platform: cl.Platform) -> Iterator[Device]:

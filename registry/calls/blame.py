@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from core_rasterizer.errors import ExplainedError
 
 from ..errors import PluginError
+from ..system.memory import FREE_MEMORY, out_of_memory
 from .watchdog import Hang
 
 if TYPE_CHECKING:
@@ -60,6 +61,12 @@ def blame(callee: Callee, iteration: int | None = None) -> Iterator[None]:
             raise  # another component hangs, which this one called or was called by
         raise hang.explained() from None
     except BaseException as error:  # SystemExit and panics of compiled libraries too
+        if out_of_memory(error):
+            raise PluginError(
+                f"memory ran out in the {callee.kind}: {_text(error)}",
+                where=_in_iteration(callee, iteration),
+                fix=FREE_MEMORY,
+            ) from error
         raise PluginError(
             f"the {callee.kind} failed: {_text(error)}",
             where=_in_iteration(callee, iteration),

@@ -41,7 +41,10 @@ class SceneLoader(Component[SettingsType], ABC):
 
     @abstractmethod
     def load(self) -> Scene:
-        """Return the scene that the settings describe. The host validates it afterwards."""
+        """Return the scene that the settings describe, in the coordinates of its files.
+
+        The host validates it, and trains in a frame of its own (`TrainingScene.frame`).
+        """
 
 
 IN_MEMORY = "in_memory"
@@ -224,11 +227,14 @@ class Metric(ViewMetric[SettingsType]):
 
 
 class Exporter(Component[SettingsType], ABC):
-    """Writes the trained Gaussians for other programs."""
+    """Writes the trained Gaussians for other programs, in the coordinates of the scene's files."""
 
     @abstractmethod
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
-        """Write into `folder`, which exists, and return the files written."""
+        """Write into `folder`, which exists, and return the files written.
+
+        Model and scene are in those coordinates; `model.gaussians()` has means in float64.
+        """
 
 
 class Report(Component[SettingsType], ABC):
@@ -236,7 +242,10 @@ class Report(Component[SettingsType], ABC):
 
     @abstractmethod
     def write(self, folder: Path, scene: Scene) -> list[Path]:
-        """Read the run folder's results and renders; write into it and return the files written."""
+        """Read the run folder's results and renders; write into it and return the files written.
+
+        The scene is in the frame of training, as are the Gaussians of `registry.runs.trained_gaussians`.
+        """
 
 
 class Observer(Component[SettingsType]):

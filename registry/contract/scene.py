@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
+from .frame import IN_FILE, Frame
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -31,7 +32,8 @@ class PointCloud:
     """Points that Gaussians start from.
 
     Args:
-        positions: `[P, 3]` float32, world units.
+        positions: `[P, 3]`, world units: float32, or float64 from a scene loader, for coordinates far from
+            the origin.
         colors: `[P, 3]` float32 in [0, 1].
         scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
             the distance to the three nearest neighbours.
@@ -143,7 +145,7 @@ class TrainingScene:
     """The part of a scene that initializers and training may use: no test views, no true depth.
 
     Args:
-        name, bounds, points, background: as in `Scene`.
+        name, bounds, points, background, frame: as in `Scene`.
         train: the training views; at least one.
     """
 
@@ -152,6 +154,7 @@ class TrainingScene:
     bounds: tuple[float, float]
     points: PointCloud | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    frame: Frame = IN_FILE
 
     @property
     def extent(self) -> float:
@@ -188,6 +191,7 @@ class Scene:
         background: colour behind the scene, three numbers in [0, 1].
         facts: recorded in the results, for example where photographs come from and how they were changed
             and split.
+        frame: origin and unit of these coordinates in the file; the identity in a scene from a loader.
     """
 
     name: str
@@ -197,6 +201,7 @@ class Scene:
     points: PointCloud | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     facts: tuple[Fact, ...] = ()
+    frame: Frame = IN_FILE
 
     @property
     def extent(self) -> float:
@@ -206,11 +211,38 @@ class Scene:
     def for_training(self) -> TrainingScene:
         """Return the part that components may use before evaluation."""
         views = tuple(view.for_training() for view in self.train)
-        return TrainingScene(self.name, views, self.bounds, self.points, self.background)
+        return TrainingScene(
+            self.name, views, self.bounds, self.points, self.background, self.frame
+        )
+
+    def in_frame(self, frame: Frame) -> Scene:
+        """Return the scene of a file in another frame, for training."""
+        unit, points = frame.unit, self.points
+        near, far = self.bounds
+        return replace(
+            self,
+            train=tuple(_in_frame(view, frame) for view in self.train),
+            test=tuple(_in_frame(view, frame) for view in self.test),
+            bounds=(near / unit, far / unit),
+            points=None
+            if points is None
+            else replace(
+                points,
+                positions=frame.points_of_file(points.positions),
+                scales=None if points.scales is None else points.scales / unit,
+                maps={name: replace(m, depth=m.depth / unit) for name, m in points.maps.items()},
+            ),
+            frame=frame,
+        )
 
     def fact(self, name: str) -> FactValue:
         """Return the value of a fact; raise KeyError if there is none of that name."""
         return {fact.name: fact.value for fact in self.facts}[name]
+
+
+def _in_frame(view: View, frame: Frame) -> View:
+    depth = None if view.depth is None else view.depth / frame.unit
+    return replace(view, camera=frame.camera_of_file(view.camera), depth=depth)
 
 
 @dataclass(frozen=True, eq=False)

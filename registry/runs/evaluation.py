@@ -114,7 +114,7 @@ def evaluate(
             row[name] = None if isinstance(score, Unavailable) else score
         scores.views[view.name] = row | _average_error(row, metrics)
         if pictures is not None:
-            save_view_pictures(rendering, view, pictures)
+            save_view_pictures(rendering, view, pictures, scene.frame.unit)
     return scores
 
 

@@ -139,6 +139,7 @@ class RunFolder:
                 fill(RunFolder(folder))
             remove_leftovers(self.path.parent, of=self.path.name)
         except (OSError, RunError) as error:
+            self.check_vacant(self.path)  # another process may have taken the name
             reason = error.what if isinstance(error, RunError) else error.strerror or error
             raise RunError(
                 f"the run folder cannot be created: {reason}",

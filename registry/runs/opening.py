@@ -107,6 +107,7 @@ def load_run(
         parts,
         scene,
         model,
+        checkpoint.frame,
         checkpoint=lambda: checkpoint,
         iteration=checkpoint.iteration,
         initialization=facts,
@@ -200,7 +201,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    trainer = restore(Parts(run.pipeline, run.model.engine), run.scene, newest)
+    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.framed, newest)
     try:
         for done in trainer.run():
             if done.number == last:

@@ -55,7 +55,8 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
     if scene.points is not None:
         names = ("positions", "colors", "scales", "opacities")
         arrays = (getattr(scene.points, name) for name in names)
-        digests["the points"] = _digest(*(array for array in arrays if array is not None))
+        # Single precision, in which older runs recorded them.
+        digests["the points"] = _digest(*(array.float() for array in arrays if array is not None))
     for view in (*scene.train, *scene.test):
         camera = [getattr(view.camera, field.name) for field in fields(view.camera)]
         digests[f"the photograph of {view.name}"] = _digest(view.image)

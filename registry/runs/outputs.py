@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import Any
 
-from core_rasterizer import ExplainedError, GaussianReader
+from core_rasterizer import ExplainedError
 
 from ..calls.copies import copied
 from ..errors import RunError
@@ -119,7 +119,7 @@ def _refuse_overwritten_inputs(run: TrainedScene, folder: RunFolder) -> None:
 
 def _scored(run: TrainedScene, folder: RunFolder, before: dict[str, Any]) -> Results:
     """Score both splits, draw pictures into the folder (`evaluate`), and return updated results."""
-    described = describe(run.pipeline, run.scene, run.model, run.iteration)
+    described = describe(run.pipeline, run.scene, run.engine_model, run.iteration)
     results = Results.model_validate({**before, **described.plain()})
     results.packages = {**before.get("packages", {}), **results.packages}
     results.changed_inputs = folder.inputs()[1]
@@ -149,7 +149,7 @@ def _write_with_outputs(run: TrainedScene, folder: RunFolder, results: Results) 
     results.exports, failures = _outputs(
         folder,
         exporters,
-        lambda: (GaussianReader(run.model), copied(run.scene), place),
+        lambda: (run.model, copied(run.scene), place),
     )
     results.failures += failures
     folder.write_results(results)  # for the reports
@@ -162,7 +162,7 @@ def _report(
     run: TrainedScene, folder: RunFolder, reports: Sequence[Part]
 ) -> tuple[list[str], list[Failure]]:
     progress("page")
-    return _outputs(folder, reports, lambda: (folder.path, copied(run.scene)))
+    return _outputs(folder, reports, lambda: (folder.path, copied(run.framed)))
 
 
 def _outputs(

@@ -15,6 +15,7 @@ from ..calls.process_state import one_torch_thread
 from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
+from ..contract.frame import Frame
 from ..contract.scene import PointCloud, Scene
 from ..pipeline.faults import faults, refuse_missing_priors
 from ..pipeline.parts import Parts, load_scene
@@ -69,7 +70,8 @@ class Prepared:
 
     Args:
         parts: components of the pipeline.
-        scene: the training and test views.
+        scene: the training and test views, in the file's coordinates.
+        framed: the same in the frame of training.
         points: output of the initializer.
         gaussians: initial Gaussians, created from the points.
         loading, initialization: wall-clock seconds of the scene and of the points.
@@ -77,6 +79,7 @@ class Prepared:
 
     parts: Parts
     scene: Scene
+    framed: Scene
     points: PointCloud
     gaussians: Gaussians
     loading: float
@@ -120,9 +123,10 @@ def prepare(loaded: Loaded, options: RunOptions) -> Prepared:
     ]
     for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
         console.print(f"warning: {warning}")
-    initializer, known = parts.one("initializer"), scene.for_training()
+    framed = scene.in_frame(Frame.of([view.camera for view in scene.train], scene.bounds))
+    initializer, known = parts.one("initializer"), framed.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     points = initializer.call(known, parts.priors, checks=initialization(), guard=of_scene(known))
     with blame(initializer.item):
         gaussians = initial_gaussians(points, pipeline.training)
-    return Prepared(parts, scene, points, gaussians, loaded.seconds, monotonic() - begin)
+    return Prepared(parts, scene, framed, points, gaussians, loaded.seconds, monotonic() - begin)

@@ -64,7 +64,7 @@ class Run(TrainedScene):
         provenance = {
             "run": uuid4().hex,
             "seed": self.pipeline.training.seed,
-            **circumstances(self.pipeline, self.model.engine),
+            **circumstances(self.pipeline, self.engine_model.engine),
             "resumed": [],
         }
 

@@ -19,6 +19,7 @@ from ..calls.copies import copied
 from ..calls.process_state import one_torch_thread
 from ..confidence import Confidence, Trained
 from ..contract.components import ViewMetric
+from ..contract.frame import Frame
 from ..contract.scene import Scene
 from ..discovery import CONFIDENCE, Plugins
 from ..pipeline.parts import Parts, build_part
@@ -26,8 +27,9 @@ from ..pipeline.pipeline import Pipeline
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
+from ..training.placed import PlacedConfidence, PlacedGaussians
 from ..training.trainer import maps_of
-from .evaluation import Picture, Scores, as_arrays, clamped_render, evaluate, quick
+from .evaluation import Picture, Scores, as_arrays, evaluate, quick
 
 
 @dataclass
@@ -55,8 +57,9 @@ class TrainedScene:
     Args:
         pipeline: the pipeline that trains.
         parts: its components.
-        scene: the training and test views.
-        model: the Gaussians.
+        scene: the training and test views, in the file's coordinates.
+        engine_model: the Gaussians on the device, in the frame of training.
+        frame: the frame of training.
         checkpoint: returns everything that training needs to continue from here.
         iteration: the last complete iteration.
         initialization: facts reported by the initializer.
@@ -69,7 +72,8 @@ class TrainedScene:
     pipeline: Pipeline
     parts: Parts
     scene: Scene
-    model: Model
+    engine_model: Model
+    frame: Frame
     checkpoint: Callable[[], Checkpoint]
     iteration: int = 0
     initialization: dict[str, Any] = field(default_factory=dict)
@@ -85,6 +89,16 @@ class TrainedScene:
         return self.pipeline.to_yaml()
 
     @property
+    def model(self) -> PlacedGaussians:
+        """The Gaussians in the file's coordinates."""
+        return PlacedGaussians(self.engine_model, self.frame)
+
+    @cached_property
+    def framed(self) -> Scene:
+        """The scene in the frame of training."""
+        return self.scene.in_frame(self.frame)
+
+    @property
     def finished(self) -> bool:
         """Whether the last iteration of the pipeline is complete."""
         return self.iteration >= self.pipeline.training.iterations
@@ -92,7 +106,7 @@ class TrainedScene:
     @property
     def hash(self) -> str:
         """SHA-256 of the Gaussians, equal for equal bits."""
-        return self.model.digest()
+        return self.engine_model.digest()
 
     @property
     def kinds(self) -> dict[str, Tensor]:
@@ -104,23 +118,26 @@ class TrainedScene:
 
     @one_torch_thread()
     def confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
-        """Return the confidence in renders of the Gaussians.
+        """Return the confidence in renders of cameras in the file's coordinates.
 
         Args:
             name: an installed estimator, for example "calibrated", "coverage" or "fisher".
             changes: `key=value`, settings of the estimator.
         """
+        return PlacedConfidence(self._confidence(name, changes), self.frame)
+
+    def _confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
         item = single_item(Plugins().find(CONFIDENCE, name), changes)
-        part = build_part(item, self.pipeline.training.seed, self.model.engine)
+        part = build_part(item, self.pipeline.training.seed, self.engine_model.engine)
         answer: Confidence = part.call(self.trained)
         return answer
 
     @property
     def trained(self) -> Trained:
-        """The Gaussians and what they were trained on; of the inputs, copies."""
+        """The Gaussians and what they were trained on, in the frame of training; of the inputs, copies."""
         maps = maps_of(self.checkpoint().part("maps"))
-        inputs = copied((self.scene.for_training(), maps, self.kinds))
-        return Trained(GaussianReader(self.model), *inputs, self.confidence)
+        inputs = copied((self.framed.for_training(), maps, self.kinds))
+        return Trained(GaussianReader(self.engine_model), *inputs, self._confidence)
 
     @property
     def scores(self) -> dict[str, Scores]:
@@ -133,7 +150,7 @@ class TrainedScene:
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
         """Render and score all views; draw the test views, or if there are none the others, into a folder."""
         begin = monotonic()
-        scene, metrics = self.scene, self.parts["metrics"]
+        scene, metrics = self.framed, self.parts["metrics"]
         of_train = None if scene.test else pictures
         begun = ViewMetric.begin_scoring
         if asking := [p for p in metrics if type(p.component).begin_scoring is not begun]:
@@ -144,16 +161,16 @@ class TrainedScene:
         views = tracked([*scene.test, *scene.train], "scoring")
         test = islice(views, len(scene.test))
         scores = {
-            "test": evaluate(self.model, scene, test, metrics, pictures, repeat=True),
-            "train": evaluate(self.model, scene, views, quick(metrics), of_train),
+            "test": evaluate(self.engine_model, scene, test, metrics, pictures, repeat=True),
+            "train": evaluate(self.engine_model, scene, views, quick(metrics), of_train),
         }
         self.seconds.evaluation = monotonic() - begin
         self._scores = (self.iteration, scores)
         return scores
 
     def rendering(self, camera: Camera) -> Rendering:
-        """Render a camera on the scene's background as tensors, without gradients, colours in [0, 1]."""
-        return clamped_render(self.model, camera, self.scene.background)
+        """Render a camera of the file on the scene's background, without gradients, colours in [0, 1]."""
+        return self.model.render(camera, background=self.scene.background)
 
     def render(self, camera: Camera) -> Picture:
         """Render a camera on the scene's background as numpy arrays."""

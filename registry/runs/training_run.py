@@ -72,15 +72,26 @@ def train_prepared(
     run, trainer, metrics = _new_run(initial)
     writing = ""
     if out is not None:
-        folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
-        run.keep_in(folder)
-        writing = f"; writing {folder}"
+        writing = f"; writing {_keep(run, out)}"
     STAGES.begin(None)
     device = initial.parts.device.name
     options.console().print(f"{len(initial.points):,} points; {device}{writing}")
     with run.folder.locked() if run.folder else nullcontext():
         _train_to_end(run, trainer, metrics, options, resumed=False)
     return run
+
+
+def _keep(run: Run, out: Path | ChooseFolder) -> Path:
+    """Create the run folder, and return its path."""
+    folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
+    while True:
+        try:
+            run.keep_in(folder)
+            return folder
+        except RunError:
+            if isinstance(out, Path) or (other := out(run.pipeline, run.scene)) == folder:
+                raise
+            folder = other  # another training took the name meanwhile
 
 
 def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
@@ -106,14 +117,14 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            trainer = restore(run.parts, run.scene, checkpoint, run.model)
+            trainer = restore(run.parts, run.framed, checkpoint, run.engine_model)
         record_changed_inputs(run, folder)
         sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
         metrics = MetricsLog(run.add_metrics, sums)
         run.checkpoint = lambda: _checkpoint(run, trainer, metrics)
         folder.forget_metrics_after(checkpoint.iteration)
         folder.note_resumption(
-            {"after": checkpoint.iteration, **circumstances(run.pipeline, run.model.engine)}
+            {"after": checkpoint.iteration, **circumstances(run.pipeline, run.engine_model.engine)}
         )
         active.console().print(
             f"continuing after iteration {checkpoint.iteration} of "
@@ -126,7 +137,7 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
 def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
     """Return a run before its first iteration, with its trainer and the log of its metrics."""
     pipeline, points = initial.pipeline, initial.points
-    trainer = assemble(initial.parts, initial.scene, points, initial.gaussians)
+    trainer = assemble(initial.parts, initial.framed, points, initial.gaussians)
     fallbacks = [item.fallback for item in pipeline.items["priors"] if item.fallback]
     facts = {
         "initializer": pipeline.one("initializer").name,
@@ -139,6 +150,7 @@ def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
         initial.parts,
         initial.scene,
         trainer.model,
+        initial.framed.frame,
         checkpoint=lambda: _checkpoint(run, trainer, metrics),
         initialization={
             **facts,
@@ -221,7 +233,7 @@ def _explaining_how_to_continue(run: Run) -> Iterator[None]:
 
 
 def _score_test_views(run: Run, metrics: MetricsLog, observers: Observers) -> None:
-    scores = evaluate(run.model, run.scene, run.scene.test, quick(run.parts["metrics"]))
+    scores = evaluate(run.engine_model, run.framed, run.framed.test, quick(run.parts["metrics"]))
     at = {"iteration": run.iteration, "seconds": round(run.seconds.training, 3)}
     metrics.write({**at, "test": scores.mean})
     observers.evaluated({"test": scores})

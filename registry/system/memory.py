@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,31 @@ from pathlib import Path
 _STATUS = Path("/proc/self/status")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _RESET_PEAK = "5"
+
+FREE_MEMORY = (
+    "end other programs, raise the memory limit of the process or container if it has one, or use smaller "
+    "or fewer photographs and fewer Gaussians"
+)
+"""What a user can do if memory runs out."""
+_FAILED = re.compile(
+    r"allocate memory|failed to allocate|not enough memory|out of memory|insufficient memory|"
+    r"bad[_ ]alloc|OUT_OF_HOST_MEMORY|MEM_OBJECT_ALLOCATION_FAILURE",
+    re.IGNORECASE,
+)
+"""What torch, ONNX Runtime, OpenCV, C++ and OpenCL say, in errors of types without this meaning."""
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Return whether an error says that memory could not be allocated."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    if not isinstance(error, Exception):
+        return False
+    with suppress(Exception):  # its __str__ fails
+        return _FAILED.search(str(error)) is not None
+    return False
 
 
 def machine_memory() -> int | None:

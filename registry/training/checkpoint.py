@@ -29,6 +29,7 @@ from torch import Tensor
 
 from core_rasterizer import ExplainedError, Gaussians
 
+from ..contract.frame import IN_FILE, Frame
 from ..errors import RunError
 from ..system.files import flush, flush_folder, new_folder, write_json, write_text
 
@@ -36,6 +37,8 @@ CHECKPOINT = "checkpoint"
 """Name of the folder in a run folder."""
 FORMAT = 2
 """Incremented when older checkpoints can no longer be read."""
+FRAME = "frame"
+"""Name of the tensor `[4]` float64 with the centre and the unit of the frame of training."""
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
 _NAME = re.compile(r"iteration-([0-9]{7,})(?:-([0-9]+))?")
 _log = logging.getLogger(__name__)
@@ -60,6 +63,14 @@ class Checkpoint:
     pipeline: str
     run: str = ""
     notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def frame(self) -> Frame:
+        """The frame of training; checkpoints of older versions have the file's."""
+        if FRAME not in self.tensors:
+            return IN_FILE
+        x, y, z, unit = self.tensors[FRAME].tolist()
+        return Frame((x, y, z), unit)
 
     def part(self, prefix: str) -> dict[str, Tensor]:
         """Return the tensors whose names begin with `prefix/`, without the prefix."""

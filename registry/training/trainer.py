@@ -20,7 +20,7 @@ from ..contract.scene import DepthMap, Scene
 from ..errors import RunError
 from ..pipeline.parts import Parts, derived_seed
 from ..pipeline.training_settings import TrainingSettings
-from .checkpoint import Checkpoint
+from .checkpoint import FRAME, Checkpoint
 from .field import Field
 from .gradients import in_iteration
 from .initial_model import new_model
@@ -152,6 +152,8 @@ class Trainer:
         with in_iteration(self.iteration + 1):
             self._check_parameters()
         state = {f"views/{name}": value for name, value in self._views.state().items()}
+        frame = self.scene.frame
+        state[FRAME] = torch.tensor([*frame.center, frame.unit], dtype=torch.float64)
         for field in self.fields:
             state |= field.state(self.iteration)
         for view, known in self._maps.items():

@@ -19,7 +19,8 @@ replaces it with the baseline: decays of opacity are replaced with the periodic 
 file can set another replacement.
 
 Finished runs are recognized by their pipeline and not trained again, so the same command continues an
-interrupted ablation. Writes ablation.txt, ablation.csv and index.html.
+interrupted ablation. Writes ablation.txt, ablation.tex, ablation.csv,
+ablation_means.csv and index.html.
 """
 
 

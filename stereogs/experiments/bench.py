@@ -22,7 +22,8 @@ A matrix file lists what to train:
   runner: {use: ray}              default: processes on this machine
 
 Finished runs are recognized by their pipeline and not trained again, so the same command continues an
-interrupted bench. Writes bench.txt, bench.csv and index.html.
+interrupted bench. Writes bench.txt, bench.tex, bench.csv,
+bench_means.csv and index.html.
 """
 
 

@@ -27,9 +27,10 @@ examples:
   stereogs compare --paper stereogs --protocol dtu-3
 
 Runs that are not comparable (different protocols, preparations of a scene or settings of metrics) are in
-separate tables with the reason. Methods are labelled by what differs between the runs. If all methods were
-run on the same scenes, the table ends with their means. --paper adds the numbers of a paper for the
-protocol of the runs.
+separate tables with the reason. Methods are labelled by what differs between the runs. Runs that differ
+only in the seed also have their mean, with its 95 % interval from three seeds on. If all methods were run on
+the same scenes, the table ends with their means. --paper adds the numbers of a paper for the protocol of the
+runs.
 """
 
 FORMATS = ("table", "csv", "markdown", "latex", "page")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import RunError
+from registry.toolkit.progress.display import showing
 
 from ..command_line.arguments import add_device
 from ..command_line.output import console
@@ -63,6 +64,7 @@ def run_plan(
     from .running.folder import ExperimentFolder
     from .running.local_processes import LocalProcesses
     from .running.pool import choose_runner, train_all
+    from .running.scene_check import check_scenes
 
     if arguments.runner is not None:
         runner = parse(arguments.runner, f"--runner {arguments.runner}", has_lines=False)
@@ -82,6 +84,8 @@ def run_plan(
             f"{'all' if places is None else places} at a time with the runner {part.item.name} "
             f"on {device.name}; writing {folder.path}"
         )
+        with showing(output):
+            check_scenes(waiting, device, plugins)
         outcome = train_all(waiting, folder, part, device=arguments.device, console=output)
         results = {run: folder.results(run) for run in plan.runs}
         _write(plan, results, folder, output)
@@ -89,18 +93,20 @@ def run_plan(
 
 
 def _write(plan: Plan, results: Results, folder: ExperimentFolder, output: Console) -> None:
-    """Write the table as text, CSV and HTML, and print the text and the paths."""
+    """Write the tables as text, LaTeX, CSV and HTML, and print the text and the paths."""
     from registry.system.files import write_text
 
     from .showing.against_time import published_costs
     from .showing.page import as_page
-    from .showing.table import as_csv, as_text
+    from .showing.table import as_csv, as_latex, as_text, means_as_csv
 
     text = as_text(plan, results)
     output.print(text, end="")
     for name, content in (
         (f"{plan.kind}.txt", text),
+        (f"{plan.kind}.tex", as_latex(plan, results)),
         (f"{plan.kind}.csv", as_csv(plan, results, folder)),
+        (f"{plan.kind}_means.csv", means_as_csv(plan, results)),
         ("index.html", as_page(plan, results, folder, published_costs(plan))),
     ):
         write_text(folder.path / name, content)

@@ -7,6 +7,7 @@ NerfBaselines iteration is a complete training, since the pipeline defines the n
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from nerfbaselines import Cameras, Dataset, Method, MethodInfo, ModelInfo, Rende
 
 import stereogs
 from core_rasterizer import Model, OpenCLEngine, load_ply
-from registry import SceneError
+from registry import Frame, SceneError
+from registry.training.placed import PlacedGaussians
 
 PIPELINE = "weightfree_fast"
 """The default of the setting `pipeline`."""
@@ -47,6 +49,7 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
         self._checkpoint = checkpoint
         self._dataset = train_dataset
         self._model: Model | None = None
+        self._frame = Frame()
         self._background = BLACK
         self._settings = dict(config_overrides or {})
         if checkpoint is not None:
@@ -93,7 +96,7 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
             scene=_scene_of(self._dataset, self._background),
             callback=lambda done: losses.append(done.loss),
         )
-        self._model = run.model
+        self._model, self._frame = run.engine_model, run.frame
         return {"loss": losses[-1], "num_gaussians": float(run.model.count)}
 
     def render(self, camera: Cameras, *, options: RenderOptions | None = None) -> dict[str, Any]:
@@ -101,19 +104,22 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
         if self._model is None:
             raise SceneError("no Gaussians to render", fix="train, or load a checkpoint")
         picture = stereogs.render(
-            self._model, _camera_of(camera.item()), background=self._background
+            PlacedGaussians(self._model, self._frame),
+            _camera_of(camera.item()),
+            background=self._background,
         )
         answer = {"color": picture.rgb, "depth": picture.depth, "accumulation": picture.alpha}
         wanted = (options or {}).get("outputs", tuple(answer))
         return {name: values for name, values in answer.items() if name in wanted}
 
     def save(self, path: str) -> None:
-        """Write the settings and, after training, the Gaussians as a PLY file."""
+        """Write the settings and, after training, the Gaussians as a PLY file in the frame of training."""
         from core_rasterizer import save_ply
 
         folder = Path(path)
         folder.mkdir(parents=True, exist_ok=True)
-        content = {"settings": self._settings, "background": self._background}
+        frame = asdict(self._frame)
+        content = {"settings": self._settings, "background": self._background, "frame": frame}
         (folder / SETTINGS).write_text(json.dumps(content, indent=2), "utf-8")
         if self._model is not None:
             save_ply(self._model.gaussians(), folder / GAUSSIANS)
@@ -122,6 +128,8 @@ class StereoGS(Method):  # type: ignore[misc]  # typed only if nerfbaselines is 
         content = json.loads((folder / SETTINGS).read_text("utf-8"))
         self._settings = content["settings"] | self._settings
         self._background = tuple(content["background"])
+        frame = content.get("frame")  # older checkpoints have the file's coordinates
+        self._frame = Frame(tuple(frame["center"]), frame["unit"]) if frame else Frame()
         if (folder / GAUSSIANS).is_file():
             self._model = OpenCLEngine(stereogs.open_device()).model(load_ply(folder / GAUSSIANS))
 
@@ -177,7 +185,7 @@ def _bounds(dataset: Dataset, cameras: list[stereogs.Camera]) -> tuple[float, fl
             "the depth bounds are unknown",
             fix="use a dataset whose cameras have nears_fars, or that has points",
         )
-    positions = torch.from_numpy(np.asarray(points, np.float32))
+    positions = torch.from_numpy(np.asarray(points, np.float64))
     depths = torch.cat([camera.project(positions)[2] for camera in cameras])
     inside = depths[depths > 0].double()
     return float(inside.quantile(0.01)), float(inside.quantile(0.99))

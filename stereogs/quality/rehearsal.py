@@ -75,7 +75,7 @@ def rehearse(initial: Prepared, count: int, clock: Clock, seconds: float) -> Mea
         seconds: approximate duration of the iterations; at least one is measured after the warm-up.
     """
     progress("timing")
-    pipeline, scene = initial.pipeline, initial.scene
+    pipeline, scene = initial.pipeline, initial.framed
     points, repeated = initial.points, torch.arange(count) % len(initial.gaussians)
     gaussians = Gaussians(**{k: v[repeated] for k, v in vars(initial.gaussians).items()})
     kinds = {kind: mask[repeated] for kind, mask in points.kinds.items()}
@@ -123,12 +123,12 @@ def _measure(trainer: Trainer, skipped: int, clock: Clock, seconds: float) -> fl
 
 def _after(initial: Prepared, model: Model, parts: Parts, clock: Clock) -> float:
     """Return the seconds after the last iteration, extrapolated from one view of each split."""
-    train, test = initial.scene.train, initial.scene.test
+    train, test = initial.framed.train, initial.framed.test
     every, fast = parts["metrics"], quick(parts["metrics"])
 
     def scored(views: Sequence[View], metrics: Sequence[Part], pictures: Path | None) -> float:
         begin = clock()
-        evaluate(model, initial.scene, views[:1], metrics, pictures)
+        evaluate(model, initial.framed, views[:1], metrics, pictures)
         return clock() - begin
 
     with TemporaryDirectory() as folder:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import GaussianReader
-    from registry.confidence import Confidence, Trained
+    from registry.confidence import Trained
     from registry.pipeline.pipeline import Item
     from registry.runs.run import Run
 
@@ -150,7 +150,7 @@ def export(
     place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
     reader = _reader(run, without, min_confidence)
     place.mkdir(parents=True, exist_ok=True)
-    part = build_part(item, run.pipeline.training.seed, run.model.engine)
+    part = build_part(item, run.pipeline.training.seed, run.engine_model.engine)
     files: list[Path] = part.call(reader, copied(run.scene), place)
     return files
 
@@ -159,12 +159,13 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
     """Return the Gaussians of a run except those of some kinds, and of low confidence."""
     import torch
 
-    from core_rasterizer import GaussianReader, Gaussians
+    from core_rasterizer import Gaussians
     from registry.training.initial_model import new_model
+    from registry.training.placed import PlacedGaussians
 
     if not kinds and min_confidence is None:
-        return GaussianReader(run.model)
-    known, left_out = run.kinds, torch.zeros(run.model.count, dtype=torch.bool)
+        return run.model
+    known, left_out = run.kinds, torch.zeros(run.engine_model.count, dtype=torch.bool)
     for kind in kinds:
         if kind not in known:
             raise RunError(
@@ -177,19 +178,19 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
         left_out |= known[kind]
     attributes = {}
     if min_confidence is not None:
-        values = _confidence_of_gaussians(run.trained, run.confidence("calibrated"))
+        values = _confidence_of_gaussians(run.trained)
         left_out |= values < min_confidence
         attributes = {"confidence": values[~left_out]}
     if left_out.all():
         where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
         fix = "name fewer kinds with --without, or choose a lower --min-confidence"
         raise RunError("all Gaussians would be left out", where=where, fix=fix)
-    kept = {name: values[~left_out] for name, values in vars(run.model.gaussians()).items()}
-    model = new_model(Gaussians(**kept), run.pipeline.training, run.model.engine)
-    return GaussianReader(model, attributes)
+    kept = {name: values[~left_out] for name, values in vars(run.engine_model.gaussians()).items()}
+    model = new_model(Gaussians(**kept), run.pipeline.training, run.engine_model.engine)
+    return PlacedGaussians(model, run.frame, attributes)
 
 
-def _confidence_of_gaussians(trained: Trained, confidence: Confidence) -> Tensor:
+def _confidence_of_gaussians(trained: Trained) -> Tensor:
     """Return `[N]` float32 in [0, 1]: the mean confidence of the pixels in which a Gaussian is seen.
 
     The pixels are those of cameras on a smooth path through the training cameras, because at the training
@@ -198,6 +199,7 @@ def _confidence_of_gaussians(trained: Trained, confidence: Confidence) -> Tensor
     from registry.toolkit.drawing import smooth_path
     from registry.toolkit.views import gathered
 
+    confidence = trained.confidence("calibrated")
     cameras = [view.camera for view in trained.scene.train]
     path = smooth_path(cameras, _CAMERAS_PER_VIEW * len(cameras)) if len(cameras) > 1 else cameras
     sums, light = gathered(trained.model, ((camera, confidence.of(camera)) for camera in path))

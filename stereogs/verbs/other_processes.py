@@ -49,7 +49,7 @@ class OtherProcesses(TrainOption):
         before = options.on_begin
 
         def begin(run: Run) -> None:
-            refuse_different_answers(run.pipeline, run.scene, run.model.engine.device.name)
+            refuse_different_answers(run.pipeline, run.scene, run.engine_model.engine.device.name)
             if before is not None:
                 before(run)
 

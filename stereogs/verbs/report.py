@@ -97,4 +97,4 @@ def _reports(run: Run, plugins: Plugins, beside: bool | None) -> Sequence[Part]:
             changed = replace(item, settings=item.settings.model_copy(update={BESIDE: beside}))
             items = tuple(changed if other is item else other for other in items)
     seed = run.pipeline.training.seed
-    return [build_part(item, seed, run.model.engine) for item in items]
+    return [build_part(item, seed, run.engine_model.engine) for item in items]

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 class CoPruningSettings(Settings):
     distance: float = Field(gt=0)
-    """World units; a Gaussian is kept if every other field has a centre within this distance. CoR-GS, in
-    COLMAP's units: 5 on LLFF, 10 on DTU, 20 on Mip-NeRF 360."""
+    """In units of the scene's files; a Gaussian is kept if every other field has a centre within this
+    distance. CoR-GS, in COLMAP's units: 5 on LLFF, 10 on DTU, 20 on Mip-NeRF 360."""
 
 
 class CoPruning(Densification[CoPruningSettings]):
@@ -57,21 +57,22 @@ class CoPruning(Densification[CoPruningSettings]):
             raise PluginError("co-pruning requires two fields", fix="set `training.fields` to 2")
         isolated = torch.zeros(step.model.count, dtype=torch.bool)
         for other in step.others:
-            isolated |= self._without_counterpart(step.model, other.model)
+            isolated |= self._without_counterpart(step, other.model)
         if isolated.all():
             raise PluginError(
                 f"no Gaussian has a counterpart within {self.settings.distance:g} in every other field",
-                fix="increase `distance`; its unit is the scene's world unit",
+                fix="increase `distance`; its unit is that of the scene's files",
             )
         step.log(f"{self.context.name}_pruned", int(isolated.sum()))
         return Edit(prune=isolated)
 
-    def _without_counterpart(self, model: GaussianReader, other: GaussianReader) -> Tensor:
+    def _without_counterpart(self, step: Step, other: GaussianReader) -> Tensor:
         import torch
         from scipy.spatial import KDTree
 
         distances, _ = KDTree(other.read("means").numpy()).query(
-            model.read("means").numpy(), distance_upper_bound=self.settings.distance
+            step.model.read("means").numpy(),
+            distance_upper_bound=self.settings.distance / step.scene.frame.unit,
         )
         return torch.from_numpy(distances).isinf()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from registry import Exporter, Register, Scene, Settings, hookimpl
@@ -26,20 +27,30 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 class GltfExporter(Exporter[Settings]):
     """Writes scene.glb: positions, rotations, scales, opacities and spherical harmonics as float32.
 
-    The values are in scene coordinates; a node rotates them to glTF's axes, so that the first training camera
+    The values are in scene coordinates, or far from the origin relative to a point that the node adds; a
+    node rotates them to glTF's axes, so that the first training camera
     is upright and looks along -z.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
+        import numpy as np
+
         from registry.toolkit.drawing import upright_rotation
 
         path = folder / "scene.glb"
         rotation = upright_rotation([view.camera for view in scene.train])
-        values = attributes(model.gaussians())
+        gaussians, origin = model.gaussians(), np.zeros(3)
+        if gaussians.needs_double:  # the node's translation is a JSON number, in double precision
+            center = gaussians.means.median(dim=0).values
+            gaussians, origin = replace(gaussians, means=gaussians.means - center), center.numpy()
+        values = attributes(gaussians)
         for name, further in model.attributes.items():  # glTF 2.0: a custom name begins with "_"
             values[f"_{name.upper()}"] = further[:, None].numpy()
-        _write_glb(values, rotation.as_quat().tolist(), path)
+        node = {"rotation": rotation.as_quat().tolist()}
+        if origin.any():
+            node["translation"] = rotation.apply(origin).tolist()
+        _write_glb(values, node, path)
         return [path]
 
 
@@ -53,7 +64,7 @@ def attributes(gaussians: Gaussians) -> Attributes:
     from torch.nn.functional import normalize
 
     values = {
-        "POSITION": gaussians.means,
+        "POSITION": gaussians.means.float(),
         f"{EXTENSION}:ROTATION": normalize(gaussians.quaternions, dim=1)[:, [1, 2, 3, 0]],
         f"{EXTENSION}:SCALE": gaussians.log_scales.exp(),
         f"{EXTENSION}:OPACITY": torch.sigmoid(gaussians.opacity_logits)[:, None],
@@ -65,17 +76,17 @@ def attributes(gaussians: Gaussians) -> Attributes:
     return {name: value.contiguous().numpy() for name, value in values.items()}
 
 
-def _write_glb(values: Attributes, rotation: list[float], path: Path) -> None:
+def _write_glb(values: Attributes, node: dict[str, list[float]], path: Path) -> None:
     """Write one mesh of points with these attributes.
 
     Args:
-        rotation: rotation of the mesh's node, (x, y, z, w).
+        node: rotation (x, y, z, w) and translation of the mesh's node.
     """
     import json
     import struct
 
     blobs = [value.astype("<f4").tobytes() for value in values.values()]
-    document = json.dumps(_document(values, rotation), separators=(",", ":")).encode()
+    document = json.dumps(_document(values, node), separators=(",", ":")).encode()
     document += b" " * (-len(document) % 4)
     size = sum(map(len, blobs))
     with path.open("wb") as file:
@@ -85,7 +96,7 @@ def _write_glb(values: Attributes, rotation: list[float], path: Path) -> None:
         file.writelines(blobs)
 
 
-def _document(values: Attributes, rotation: list[float]) -> dict[str, Any]:
+def _document(values: Attributes, node: dict[str, list[float]]) -> dict[str, Any]:
     views, accessors, offset = [], [], 0
     for index, value in enumerate(values.values()):
         views.append({"buffer": 0, "byteOffset": offset, "byteLength": value.nbytes})
@@ -110,7 +121,7 @@ def _document(values: Attributes, rotation: list[float]) -> dict[str, Any]:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": rotation}],
+        "nodes": [{"mesh": 0, **node}],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,

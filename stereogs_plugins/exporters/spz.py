@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from typing import TYPE_CHECKING
 
-from registry import Exporter, Register, Scene, Settings, hookimpl
+from registry import Exporter, Frame, Register, Scene, Settings, hookimpl
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from core_rasterizer import GaussianReader, Gaussians
 
+_log = logging.getLogger(__name__)
+
 _FRACTIONAL_BITS = 12
 """The publisher's own choice, which some readers require."""
+_LOG_SCALES = (-10.0, 5.9)
+"""What the format can hold."""
+_SCALE_MARGIN, _POSITION_MARGIN = 2.0, 1.5
+"""Logarithms of factors: of the typical scale from those limits, and from the positions' step."""
 _ODD_IN_Y_PLUS_Z = (1, 2, 4, 7, 9, 11, 12, 14)
 """Coefficients of spherical harmonics up to degree 3 whose sign changes if y and z are negated."""
 
@@ -21,16 +29,34 @@ class SpzExporter(Exporter[Settings]):
     """Writes scene.spz, version 3: positions to 1/4096 world units, other parameters in 8 to 10 bits.
 
     The format's axes are x right, y up, z back: the scene is rotated by 180 degrees about x, and readers
-    rotate it back.
+    rotate it back. A scene whose coordinates the format cannot hold gets another origin and unit, and a
+    warning names them.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
         """Write the file and return its path."""
         from registry.toolkit import spz_bytes
 
-        path = folder / "scene.spz"
-        path.write_bytes(spz_bytes(half_turned(model.gaussians()), _FRACTIONAL_BITS))
+        path, gaussians = folder / "scene.spz", model.gaussians()
+        if not _fit(gaussians):
+            frame = Frame.around(gaussians)
+            gaussians = frame.gaussians_of_file(gaussians)
+            _log.warning(
+                "%s: the format cannot hold the scene's coordinates; the file's origin is at (%s), and its "
+                "unit is %g units",
+                *(path, ", ".join(f"{value:.9g}" for value in frame.center), frame.unit),
+            )
+        path.write_bytes(spz_bytes(half_turned(gaussians), _FRACTIONAL_BITS))
         return [path]
+
+
+def _fit(gaussians: Gaussians) -> bool:
+    """Return whether positions in steps of 1/4096 and log-scales from -10 to 5.9 hold these Gaussians."""
+    typical = float(gaussians.log_scales.median())
+    low, high = _LOG_SCALES[0] + _SCALE_MARGIN, _LOG_SCALES[1] - _SCALE_MARGIN
+    reach = float(gaussians.means.abs().max())
+    coarse = math.log(max(2.0**-_FRACTIONAL_BITS, reach * 2.0**-23))
+    return low < typical < high and coarse < typical - _POSITION_MARGIN
 
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
@@ -46,7 +72,7 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
     signs = torch.ones(gaussians.sh.shape[1], 1)
     signs[[index for index in _ODD_IN_Y_PLUS_Z if index < len(signs)]] = -1
     return Gaussians(
-        means=gaussians.means * torch.tensor([1.0, -1, -1]),
+        means=gaussians.means * gaussians.means.new_tensor([1.0, -1, -1]),
         log_scales=gaussians.log_scales,
         quaternions=normalize(gaussians.quaternions, dim=1) * torch.tensor([1.0, 1, -1, -1]),
         opacity_logits=gaussians.opacity_logits,

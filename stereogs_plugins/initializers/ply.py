@@ -50,7 +50,7 @@ class PlyInitializer(Initializer[PlySettings]):
                 where=str(path),
                 fix="create it again, or use the initializer `sfm` or `random`",
             )
-        return PointCloud(positions, colors)
+        return PointCloud(scene.frame.points_of_file(positions), colors)
 
 
 @hookimpl

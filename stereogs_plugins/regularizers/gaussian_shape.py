@@ -22,7 +22,7 @@ class GaussianShapeSettings(Settings):
     elongation: float = Field(0.002, ge=0, allow_inf_nan=False)
     """Weight of the mean of each Gaussian's largest scale over its smallest."""
     size: float = Field(0.001, ge=0, allow_inf_nan=False)
-    """Weight of the mean square of the largest scales, square world units."""
+    """Weight of the mean square of the largest scales, in the frame of training (typical depth 8)."""
     opacity: float = Field(0.001, ge=0, allow_inf_nan=False)
     """Weight of 1 - mean o^2 over opacities o > 0.2, plus mean (1 - o)^2 over those below."""
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 class ParameterL1Settings(Settings):
     parameter: Literal["opacities", "scales"]
-    """Penalized parameter: opacities, or scales in world units."""
+    """Penalized parameter: opacities, or scales in the frame of training (typical depth 8)."""
 
 
 class ParameterL1(Regularizer[ParameterL1Settings]):

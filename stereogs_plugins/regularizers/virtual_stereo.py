@@ -28,7 +28,7 @@ class VirtualStereoSettings(Settings):
     """The shift is uniform in [-max_shift, max_shift]. The default is the authors', for COLMAP's world
     units, where near content then moves by at most 10 pixels."""
     unit: Literal["world", "baseline"] = "world"
-    """Unit of `max_shift`: world units, or the distance to the nearest other training camera."""
+    """Unit of `max_shift`: that of the scene's files, or the distance to the nearest other camera."""
     depth: Literal["accumulated", "expected"] = "accumulated"
     """Rendered depth: as blended (the paper), which is too small where dropout or decay reduce alpha; or
     divided by alpha, at pixels with an alpha above 0.3 that show no background in a photograph with alpha."""
@@ -76,7 +76,7 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
     def _unit(self, step: Step) -> float:
         """World units of a shift of 1; with a single training camera a baseline is the scene's extent."""
         if self.settings.unit == "world":
-            return 1.0
+            return 1 / step.scene.frame.unit
         here = step.view.camera.center
         others = [view.camera.center for view in step.scene.train if view.name != step.view.name]
         return min((float((there - here).norm()) for there in others), default=step.extent)

@@ -27,6 +27,7 @@ from registry.toolkit.photos import (
     at_most,
     find_image,
     inside,
+    object_bounds,
     pose_from_opengl,
     read_document,
     stored_size,
@@ -52,10 +53,11 @@ class BlenderSettings(Settings):
     """Wider photographs are resized to this width; 400 is the published half of 800."""
     resize_filter: ResizeFilter = "bicubic"
     """Pillow filter for resizing."""
-    near: float = Field(2.0, gt=0)
-    """Near depth bound; 2 and 6 are the published bounds of these scenes."""
-    far: float = Field(6.0, gt=0)
-    """Far depth bound."""
+    near: float | None = Field(None, gt=0)
+    """Near depth bound; null: half the distance to the point that the cameras look at. 2 and 6 are the
+    published bounds of NeRF's scenes, whose cameras are 4 units away."""
+    far: float | None = Field(None, gt=0)
+    """Far depth bound; null: 1.5 times that distance."""
 
 
 class BlenderScene(SceneLoader[BlenderSettings]):
@@ -107,7 +109,9 @@ class BlenderScene(SceneLoader[BlenderSettings]):
                 len(train) + len(test),
             ),
         )
-        return loaded.scene("blender", folder, (settings.near, settings.far), None, facts)
+        near, far = object_bounds(loaded.training_cameras, str(folder))
+        bounds = (settings.near or near, settings.far or far)
+        return loaded.scene("blender", folder, bounds, None, facts)
 
 
 class _Frame(pydantic.BaseModel):

@@ -236,7 +236,7 @@ def _read_archive(path: Path) -> Tracks:
     data = read_arrays(path, _ARRAYS, "the points file", POINTS_FIX)
     with decoding("the points file", path, POINTS_FIX):
         return Tracks(
-            positions=np.asarray(data["xyz"], dtype=np.float32),
+            positions=np.asarray(data["xyz"], dtype=np.float64),
             colors=np.asarray(data["rgb"], dtype=np.uint8),
             lengths=np.asarray(data["track_len"], dtype=np.int64),
             images=np.asarray(data["track_image_ids"], dtype=np.int64) - 1,

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,7 +25,7 @@ from core_rasterizer import (
     reference,
     self_test as self_test_module,
 )
-from core_rasterizer.device import Description, Trial, choose, trial
+from core_rasterizer.device import Description, Trial, choose, drivers, trial
 from core_rasterizer.device.profile import FEW
 
 INFINITE = math.inf
@@ -60,9 +65,52 @@ def test_nothing_is_timed_for_one_device_or_a_named_one(monkeypatch: pytest.Monk
     assert choose(devices("gpu", "cpu"), "2.0", not_asked) == 0, "a driver's version"
 
 
-def test_without_devices_the_error_says_what_to_install() -> None:
-    with pytest.raises(DeviceError, match="no OpenCL platform was found"):
+@pytest.mark.parametrize(
+    ("names", "message", "fix"),
+    [
+        ([], "no OpenCL platform was found", "install a driver"),
+        (["Portable Computing Language"], "its cache cannot be written", "set POCL_CACHE_DIR"),
+        (["Maker's"], "the installed OpenCL drivers list no device: Maker's", "update the driver"),
+    ],
+)
+def test_without_devices_the_error_says_why(
+    names: list[str], message: str, fix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "file" / "below"))
+    found = [SimpleNamespace(name=name) for name in names]
+    monkeypatch.setattr(drivers, "platforms", lambda: found)
+    with pytest.raises(DeviceError, match=message) as caught:
         choose([], None, not_asked)
+    assert caught.value.fix.startswith(fix)
+
+
+UNWRITABLE = """
+import os
+from core_rasterizer import list_devices
+print(len(list_devices()), os.path.isdir(os.environ["POCL_CACHE_DIR"]), os.environ["PYOPENCL_NO_CACHE"])
+"""
+
+
+def test_without_a_writable_home_kernels_are_compiled_in_a_temporary_folder(tmp_path: Path) -> None:
+    if not any("Portable" in device.platform for device in list_devices()):
+        pytest.skip("PoCL is not installed")
+    (tmp_path / "home").touch()
+    kept = {k: v for k, v in os.environ.items() if k not in {"POCL_CACHE_DIR", "XDG_CACHE_HOME"}}
+    environment = {**kept, "HOME": str(tmp_path / "home"), "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", UNWRITABLE]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    devices, exists, no_cache = done.stdout.split()
+    assert (int(devices) > 0, exists, no_cache) == (True, "True", "1")
+    assert "set POCL_CACHE_DIR" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["home"], "removed at the end"
+
+
+def test_a_full_disk_is_named_before_the_compiler_ends_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=10**5))
+    assert drivers.problem_of(tmp_path) == "has 0.1 MB of free space"
 
 
 def test_a_trial_is_remembered_for_each_device_and_driver(

@@ -161,6 +161,8 @@ def test_the_same_pose_gives_the_same_bits(device: Device) -> None:
 
 
 def test_both_raster_variants_agree(device: Device) -> None:
+    if device.kind != "cpu":
+        pytest.skip("a GPU runs its own variant only")
     generator = torch.Generator().manual_seed(5)
     scene, camera = random_scene(generator, 800), random_camera(generator, 180, 130)
     options = all_options(generator, 800)

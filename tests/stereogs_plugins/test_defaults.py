@@ -94,7 +94,7 @@ def _halved(view: View) -> View:
 def psnr(scene: Scene, values: dict[str, Any]) -> float:
     pipeline = stereogs.build_pipeline(values, plugins=PLUGINS)
     run = stereogs.train(pipeline, scene=scene, progress=False)
-    mean = evaluate(run.model, run.scene, run.scene.test, run.parts["metrics"]).mean
+    mean = evaluate(run.engine_model, run.framed, run.framed.test, run.parts["metrics"]).mean
     value = mean["psnr"]
     assert value is not None
     return value

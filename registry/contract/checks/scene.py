@@ -278,7 +278,7 @@ def _without_equal_poses(scene: Scene) -> Scene:
     kept: list[View] = []
     copies: list[tuple[View, View]] = []
     for view in scene.train:
-        twin = next((other for other in kept if _same_pose(view, other)), None)
+        twin = next((other for other in kept if _same_pose(view, other, scene.bounds[0])), None)
         if twin is None:
             kept.append(view)
         else:
@@ -302,11 +302,14 @@ def _without_equal_poses(scene: Scene) -> Scene:
     return replace(scene, train=tuple(kept), facts=(*scene.facts, fact))
 
 
-def _same_pose(view: View, other: View) -> bool:
-    import torch
+def _same_pose(view: View, other: View, near: float) -> bool:
+    """Whether two cameras differ by rounding only; `near` is the near bound of the scene."""
 
     first, second = view.camera.world_to_camera, other.camera.world_to_camera
-    return torch.allclose(first, second, rtol=1e-9, atol=1e-9)
+    turned = float((first[:3, :3] - second[:3, :3]).abs().max())
+    shift = float((first[:3, 3] - second[:3, 3]).abs().max())
+    rounding = 1e-14 * float(first[:3, 3].abs().max())
+    return turned <= 1e-9 and shift <= max(1e-9 * near, rounding)
 
 
 def _in_unit_range(values: Tensor) -> bool:

@@ -75,8 +75,14 @@ class ViewPictures:
         return cls(folder / file, folder / DEPTHS / file, folder / COMPARISONS / file)
 
 
-def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPictures:
-    """Write a view's render, its depth, and photograph | render | depth side by side."""
+def save_view_pictures(
+    rendering: Rendering, view: View, folder: Path, unit: float = 1.0
+) -> ViewPictures:
+    """Write a view's render, its depth, and photograph | render | depth side by side.
+
+    Args:
+        unit: of the rendering's depths, in units of the scene's files.
+    """
     import torch
 
     files = ViewPictures.of(view.name, folder)
@@ -89,7 +95,7 @@ def save_view_pictures(rendering: Rendering, view: View, folder: Path) -> ViewPi
         file.parent.mkdir(exist_ok=True)
     pictures = [
         (render, files.render, None),
-        (depth, files.depth, _depth_texts(rendering)),
+        (depth, files.depth, _depth_texts(rendering, unit)),
         (side_by_side(photograph, render, depth), files.comparison, None),
     ]
     in_parallel(lambda picture: save_png(*picture), pictures)
@@ -110,13 +116,13 @@ def _nearness(rendering: Rendering) -> tuple[Tensor, Tensor]:
     return alpha / rendering.depth.detach().clamp(min=1e-9), alpha > 0.5
 
 
-def _depth_texts(rendering: Rendering) -> dict[str, str]:
+def _depth_texts(rendering: Rendering, unit: float) -> dict[str, str]:
     """Return the texts `NEAREST` and `FARTHEST` of `depth_picture`; empty if all pixels are empty."""
     nearness, known = _nearness(rendering)
     if not known.any():
         return {}
     low, high = _ends(nearness, known)
-    return {NEAREST: f"{1 / high:.6g}", FARTHEST: f"{1 / low:.6g}"}
+    return {NEAREST: f"{unit / high:.6g}", FARTHEST: f"{unit / low:.6g}"}
 
 
 def depth_ends(picture: Path) -> tuple[float, float] | None:

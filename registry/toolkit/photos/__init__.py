@@ -18,7 +18,11 @@ from typing import TYPE_CHECKING
 from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
-    from .bounds import Bounds as Bounds, estimate_bounds as estimate_bounds
+    from .bounds import (
+        Bounds as Bounds,
+        estimate_bounds as estimate_bounds,
+        object_bounds as object_bounds,
+    )
     from .colmap_files import (
         colmap_models as colmap_models,
         count_images as count_images,
@@ -30,6 +34,7 @@ if TYPE_CHECKING:
         Tracks as Tracks,
         read_colmap_model as read_colmap_model,
     )
+    from .copies import Impression as Impression
     from .decoder import (
         BACKGROUNDS as BACKGROUNDS,
         HEIF_SUFFIXES as HEIF_SUFFIXES,

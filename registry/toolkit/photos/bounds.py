@@ -9,6 +9,9 @@ from ...errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from core_rasterizer import Camera
 
     from ...contract.scene import PointCloud
@@ -24,7 +27,7 @@ FOCUS_FACTOR = 5.0
 """Content is assumed from 1/5 to 5 times the distance of the point that the cameras look at."""
 _MIN_EIGENVALUE = 1e-3
 """Of `nearest_to_axes`; axes within about 2 degrees count as parallel."""
-SAME_CENTER = 1e-9
+SAME_CENTER = 1e-12
 """Centres nearer to each other than this, relative to their coordinates, differ by rounding only."""
 BASELINES = (1.0, 100.0)
 """Bounds of cameras with parallel axes, in units of the largest distance between two cameras."""
@@ -53,6 +56,20 @@ def estimate_bounds(cameras: Sequence[Camera], points: PointCloud | None, where:
     return bounds
 
 
+def object_bounds(cameras: Sequence[Camera], where: str) -> Bounds:
+    """Return (near, far) z-depth for cameras around an object: 1/2 and 3/2 of their distance to it.
+
+    The object is at the point nearest to all optical axes; `estimate_bounds` if there is none.
+
+    Raises:
+        SceneError: as `estimate_bounds`.
+    """
+    depths = _depths_of_focus(cameras)
+    if depths is None:
+        return estimate_bounds(cameras, None, where)
+    return 0.5 * float(depths.mean()), 1.5 * float(depths.mean())
+
+
 def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds | None:
     import numpy as np
     import torch
@@ -73,6 +90,14 @@ def _from_points(cameras: Sequence[Camera], points: PointCloud | None) -> Bounds
 
 
 def _from_focus(cameras: Sequence[Camera]) -> Bounds | None:
+    depths = _depths_of_focus(cameras)
+    if depths is None:
+        return None
+    return float(depths.min() / FOCUS_FACTOR), float(depths.max() * FOCUS_FACTOR)
+
+
+def _depths_of_focus(cameras: Sequence[Camera]) -> NDArray[np.float64] | None:
+    """Return the z-depth in each camera of the point nearest to all optical axes, if there is one."""
     import numpy as np
 
     from .focus import lines_of_sight, nearest_to_axes
@@ -81,8 +106,8 @@ def _from_focus(cameras: Sequence[Camera]) -> Bounds | None:
     if focus is None:
         return None
     centers, axes = lines_of_sight(cameras)
-    depths = np.einsum("vi,vi->v", axes, focus - centers)
-    return float(depths.min() / FOCUS_FACTOR), float(depths.max() * FOCUS_FACTOR)
+    depths: NDArray[np.float64] = np.einsum("vi,vi->v", axes, focus - centers)
+    return depths
 
 
 def _from_baselines(cameras: Sequence[Camera]) -> Bounds | None:

@@ -47,7 +47,7 @@ class Tracks:
         images: `[sum of lengths]` 0-based indices of sorted photographs, track after track.
     """
 
-    positions: NDArray[np.float32]
+    positions: NDArray[np.float64]
     colors: NDArray[np.uint8]
     lengths: NDArray[np.int64]
     images: NDArray[np.int64]
@@ -136,10 +136,8 @@ class ColmapModel:
         index = {identity: k for k, (identity, _) in enumerate(self.images)}
         images = [index[identity] for point in self.points for identity in point.image_ids]
         positions = np.array([p.position for p in self.points], dtype=np.float64).reshape(-1, 3)
-        with np.errstate(over="ignore"):  # an overflow becomes infinite and is refused
-            single = positions.astype(np.float32)
         return Tracks(
-            positions=single,
+            positions=positions,
             colors=np.array([p.color for p in self.points], dtype=np.uint8).reshape(-1, 3),
             lengths=np.array([len(p.image_ids) for p in self.points], dtype=np.int64),
             images=np.array(images, dtype=np.int64),

@@ -10,6 +10,7 @@ from ...contract.checks.scene import validate
 from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ..progress.parallel import in_parallel
+from .copies import Impression
 from .decoder import Decoder, read_mask, stored_size
 from .lens import Lens, import_pycolmap, undistort
 from .reading import existing_image, find_image
@@ -30,6 +31,7 @@ FAR_AWAY = 50.0
 """Distance of a camera from the median centre, in medians of these distances, that no capture has."""
 MIN_TO_JUDGE = 4
 """Cameras that are needed to say that one of them is far away."""
+_MAX_PAIRS = 6
 _FINER = 2
 """Photographs are undistorted at this multiple of their size, because bilinear resampling blurs them."""
 
@@ -103,6 +105,31 @@ def _distances(poses: Sequence[NDArray[np.float64]]) -> list[float]:
         distances = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
         usual = float(np.median(distances))
     return [float(d) / usual if usual > 0 and np.isfinite(d) else 0.0 for d in distances]
+
+
+def _warn_of_copies(train: Sequence[View], test: Sequence[View]) -> None:
+    """Warn of test views whose photograph is a copy of a training view's: they score what was trained."""
+    seen = in_parallel(_impression, [*train, *test])
+    trained, pairs = list(zip(train, seen, strict=False)), []
+    for view, impression in zip(test, seen[len(train) :], strict=True):
+        copy = next((one.name for one, other in trained if impression.is_copy_of(other)), None)
+        if copy is not None:
+            pairs.append(f"{view.name} of {copy}")
+    if pairs:
+        shown = ", ".join(pairs[:_MAX_PAIRS]) + (", ..." if len(pairs) > _MAX_PAIRS else "")
+        _log.warning(
+            "WARNING: %d of %d test views are copies of training views, so their scores are not those of new "
+            "views: %s\n  fix    remove one of each two from the data set, or train on all: --test-every 0",
+            *(len(pairs), len(test), shown),
+        )
+
+
+def _impression(view: View) -> Impression:
+    from PIL import Image
+
+    from ..drawing import to_bytes
+
+    return Impression.of(Image.fromarray(to_bytes(view.image)))
 
 
 def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
@@ -188,6 +215,7 @@ class LoadedPhotos:
         if not all(photo.lens.is_pinhole for photo in photos):
             import_pycolmap()  # here, because threads cannot restore the handler of SIGTERM
         views = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
+        _warn_of_copies(views[: len(train)], views[len(train) :])
         return cls(photos, views, decoder, train, test)
 
     @property

@@ -15,6 +15,8 @@ from registry.pipeline.yaml_source import read
 from registry.runs.folder import RESULTS, RunFolder
 from registry.runs.results import read_results
 
+from ..showing.scores import Figure, figure_of
+
 COSTS = {"gaussians": "Gaussians", "seconds": "seconds", "peak_memory_mb": "memory MB"}
 """Costs in results.json, with their headings."""
 _NEEDED = ("pipeline", "protocol", "scene", "metrics", "test", "gaussians")
@@ -62,6 +64,11 @@ class FinishedRun:
     def scores(self) -> dict[str, float | None]:
         """Mean of each metric over the test views; None for an unavailable metric."""
         return dict(self.results["test"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of its training."""
+        return int(self.tree["training"]["seed"])
 
     @property
     def numbers(self) -> dict[str, float | None]:
@@ -141,6 +148,33 @@ def method_means(runs: Sequence[FinishedRun]) -> list[MethodMean]:
         by_scene = [_means([run.numbers for run in group if run.scene == s]) for s in scenes]
         means.append(MethodMean(label, tuple(scenes), _means(by_scene)))
     return means
+
+
+def seed_means(runs: Sequence[FinishedRun]) -> list[tuple[FinishedRun, int, dict[str, Figure]]]:
+    """Return the means of runs that differ only in the seed; runs of one seed count once.
+
+    Returns:
+        The first run of each group with several seeds, the number of seeds, and the means of the numbers
+        that all runs have.
+    """
+    groups: dict[tuple[str, str], list[FinishedRun]] = {}
+    for run in runs:
+        groups.setdefault((run.method, run.scene), []).append(run)
+    found = []
+    for group in groups.values():
+        seeds = {run.seed for run in group}
+        if len(seeds) < 2:
+            continue
+        means = {}
+        for name in dict.fromkeys(name for run in group for name in run.numbers):
+            by_seed: dict[int, list[float]] = {seed: [] for seed in sorted(seeds)}
+            for run in group:
+                number = run.numbers.get(name)
+                by_seed[run.seed] += [] if number is None else [number]
+            if sum(map(len, by_seed.values())) == len(group) and (mean := figure_of(by_seed)):
+                means[name] = mean
+        found.append((group[0], len(seeds), means))
+    return found
 
 
 def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:

@@ -7,12 +7,13 @@ from typing import Any
 
 from .comparison import FinishedRun, dotted
 
+SEED = "training.seed"
 MAX_PARTS = 3
 """Largest number of differences in a label."""
 _LENGTH = "training.iterations"
 _WORDS = {
     _LENGTH: "{} iterations",
-    "training.seed": "seed {}",
+    SEED: "seed {}",
     "scene.train_views": "{} training views",
 }
 _SCALED = ("start", "stop", "every", "phase", "sh_every", "position_steps")
@@ -22,13 +23,17 @@ _ABSENT = object()
 _Values = Mapping[str, Any]
 
 
-def labels(runs: Sequence[FinishedRun]) -> list[str]:
+def labels(runs: Sequence[FinishedRun], *, seeds: bool = True) -> list[str]:
     """Return for each run what distinguishes it from the others of its pipeline.
+
+    `seeds` says whether different seeds do.
 
     A component that differs is named without its settings. Schedules that follow from the number of
     iterations are left out, and so is the name of the pipeline if all have the same and something differs.
     """
     settings = [_settings(run) for run in runs]
+    if not seeds:
+        settings = [{key: v for key, v in own.items() if key != SEED} for own in settings]
     found = []
     for run, own in zip(runs, settings, strict=True):
         same = [

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from registry.messages.suggestions import counted
 from registry.pipeline.protocols import load_protocol
 from registry.runs.results import RENDERS
 from registry.toolkit.web_page import Cell, page, section
 
 from ...command_line.output import ABSENT
 from ..showing.score_table import ScoreTable, csv_text
+from ..showing.scores import CONFIDENCE, Figure
 from ..showing.view_gallery import RenderedRun, view_gallery
-from .comparison import COSTS, FinishedRun, method_means, metric_names
+from .comparison import COSTS, FinishedRun, method_means, metric_names, seed_means
 from .labels import labels
 from .paper_tables import PaperTables
 
-Row = tuple[str, str, str, Mapping[str, float | None]]
+Numbers = Mapping[str, float | Figure | None]
+Row = tuple[str, str, str, Numbers]
 """Run, method, scene, and numbers."""
 
 
@@ -31,7 +34,7 @@ class Published:
 def comparison_table(
     runs: Sequence[FinishedRun], published: Published | None, reason: str = ""
 ) -> ScoreTable:
-    """Return a table of runs, means over scenes, and published rows.
+    """Return a table of runs, means over seeds, means over scenes, and published rows.
 
     `reason` says why the runs are not in the first table.
     """
@@ -40,7 +43,16 @@ def comparison_table(
         (run.folder.name, method, run.scene, run.numbers)
         for run, method in zip(runs, labels(runs), strict=True)
     ]
-    sections, notes = [len(rows)], []
+    sections, notes = [len(rows)], list[str]()
+    methods = dict(zip(map(id, runs), labels(runs, seeds=False), strict=True))
+    over_seeds = seed_means(runs)
+    rows += [
+        ("", methods[id(first)], f"{first.scene}, mean of {counted(seeds, 'seed')}", means)
+        for first, seeds, means in over_seeds
+    ]
+    if any(mean.half is not None for *_, found in over_seeds for mean in found.values()):
+        notes.append(f"± of means over seeds: {CONFIDENCE:.0%} confidence interval (Student's t).")
+    sections.append(len(rows))
     means = method_means(runs)
     covered = {mean.scenes for mean in means}
     if len(covered) > 1:
@@ -93,19 +105,22 @@ def _published_notes(published: Published, runs: Sequence[FinishedRun]) -> Itera
         yield f"Ours: {ours}. Means over different scenes are not comparable."
 
 
-def _cells(numbers: Mapping[str, float | None], metrics: Sequence[str]) -> list[Cell]:
-    scores = [numbers.get(name) for name in metrics]
-    costs = [numbers.get(name) for name in COSTS]
-    texts = [
-        *(ABSENT if score is None else _score(score) for score in scores),
-        *(ABSENT if cost is None else f"{cost:,.0f}" for cost in costs),
-    ]
-    return [Cell(text) for text in texts]
+def _cells(numbers: Numbers, metrics: Sequence[str]) -> list[Cell]:
+    scores = [_text(numbers.get(name)) for name in metrics]
+    costs = [_text(numbers.get(name), 0) for name in COSTS]
+    return [Cell(text) for text in (*scores, *costs)]
 
 
-def _score(value: float) -> str:
-    """Format with as many digits as papers use."""
-    return f"{value:.3f}" if abs(value) < 1 else f"{value:.2f}"
+def _text(value: float | Figure | None, decimals: int | None = None) -> str:
+    """Format a score with as many digits as papers use, a mean over seeds with its interval."""
+    if value is None:
+        return ABSENT
+    mean, half = (value.mean, value.half) if isinstance(value, Figure) else (value, None)
+    if decimals is None:
+        decimals = 3 if abs(mean) < 1 else 2
+    else:
+        half = None  # the spread of counts and times says little about a method
+    return f"{mean:,.{decimals}f}" + ("" if half is None else f" ± {half:,.{decimals}f}")
 
 
 def as_csv(runs: Sequence[FinishedRun]) -> str:

@@ -29,6 +29,7 @@ from registry.pipeline.yaml_source import Node, Place, parse, read
 
 from .variations import Variation, alternatives, values
 
+_CLOSING = {"{": "}", "[": "]", '"': '"', "'": "'"}
 KEYS = ("pipeline", "toggles", "vary", "scenes", "seeds", "runner")
 """The keys of an ablation file."""
 
@@ -218,7 +219,7 @@ def with_arguments(
         overrides: as for `--set`; change the pipeline's tree in place.
         toggles: comma-separated names.
         vary: each `a.b=value,value`.
-        scenes: comma-separated names or paths.
+        scenes: comma-separated names, paths, or loaders such as `{use: procedural, width: 96}`.
 
     Raises:
         PipelineError: an argument is empty or malformed, or a setting is varied twice.
@@ -233,7 +234,7 @@ def with_arguments(
         description = replace(description, variations=_variations(vary))
     if scenes is not None:
         place = Place(f"--scenes {scenes}")
-        nodes = tuple(Node(name, place) for name in _names(scenes, place))
+        nodes = tuple(_scene(text, place) for text in _names(scenes, place))
         description = replace(description, scenes=nodes)
     if seeds is not None:
         description = replace(description, seeds=seed_count(Node(seeds, Place(f"--seeds {seeds}"))))
@@ -261,8 +262,26 @@ def _variations(texts: Sequence[str]) -> tuple[Variation, ...]:
     return tuple(found.values())
 
 
+def _scene(text: str, place: Place) -> Node:
+    """Return a loader or a quoted name as YAML reads it; other texts as they are."""
+    return parse(text, place.source, has_lines=False) if text[0] in "{\"'" else Node(text, place)
+
+
 def _names(text: str, place: Place) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
+    """Split at commas outside of braces, brackets and quotes, which count where YAML reads them."""
+    parts, ends = [""], ""
+    for sign in text:
+        if sign == ends[-1:]:
+            ends = ends[:-1]
+        elif sign in _CLOSING and ends[-1:] not in ("'", '"'):
+            before = parts[-1].rstrip()[-1:]
+            if before in ("", *"{[,:"):  # else within a name, such as it's or a[1]
+                ends += _CLOSING[sign]
+        if sign == "," and not ends:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    names = [name.strip() for name in parts]
     if not all(names):
         raise PipelineError(
             "there is an empty name", where=str(place), fix="separate names by single commas"

@@ -3,7 +3,7 @@
 runs/NAME_DIGEST/       a run folder; the digest identifies its pipeline
 runs/NAME_DIGEST.yaml   the pipeline that was trained
 runs/NAME_DIGEST.log    the output of the training
-ablation.txt, ablation.csv, index.html
+ablation.txt, ablation.tex, ablation.csv, ablation_means.csv, index.html
 """
 
 from __future__ import annotations

@@ -13,7 +13,19 @@ from rich.table import Table
 
 from registry.toolkit.web_page import Cell, note, score_table
 
-_LATEX = {**{sign: f"\\{sign}" for sign in "&%$#_{}"}, "–": "--", "\\": r"\textbackslash{}"}  # noqa: RUF001
+_LATEX = {
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    **{sign: f"${sign}$" for sign in "<>"},
+    "–": "--",  # noqa: RUF001
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "±": r"$\pm$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "✓": r"$\checkmark$",
+    "✗": r"$\times$",
+}
 _FOLDED = 8
 """Smallest number of characters per line of a folded name."""
 _BETWEEN = 2
@@ -81,10 +93,13 @@ class ScoreTable:
         return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
 
     def latex(self) -> str:
-        """Return a `tabular` that uses the package booktabs, with title and notes as comments."""
+        """Return a `tabular`, with title and notes as comments and the best numbers in bold.
+
+        It needs the package booktabs, and for ticks amssymb.
+        """
         header, *rows = (
-            " & ".join("".join(_LATEX.get(sign, sign) for sign in cell) for cell in row) + r" \\"
-            for row in self.texts
+            " & ".join(_in_latex(cell) for cell in row) + r" \\"
+            for row in [[*map(Cell, self.head)], *self.rows]
         )
         columns = "l" * self.names + "r" * (len(self.head) - self.names)
         comments = [f"% {line}" for text in (self.title, *self.notes) for line in text.splitlines()]
@@ -93,8 +108,11 @@ class ScoreTable:
             rf"\begin{{tabular}}{{{columns}}}",
             r"\toprule",
             header,
-            r"\midrule",
-            *rows,
+            *(
+                line
+                for index, row in enumerate(rows)
+                for line in ([r"\midrule", row] if index in {0, *self.sections} else [row])
+            ),
             r"\bottomrule",
             r"\end{tabular}",
         ]
@@ -104,6 +122,11 @@ class ScoreTable:
         """Return the table and its notes for a page."""
         table = score_table(self.head, self.rows, names=self.names, caption=self.title)
         return table + "".join(map(note, self.notes))
+
+
+def _in_latex(cell: Cell) -> str:
+    text = "".join(_LATEX.get(sign, sign) for sign in cell.text)
+    return rf"\textbf{{{text}}}" if cell.strong else text
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> str:

@@ -62,10 +62,13 @@ class Figure:
         mean: over scenes and seeds; may be infinite (PSNR of equal images).
         spread: sample standard deviation over seeds of the mean over scenes; None for a single seed or an
             infinite mean.
+        half: half width of the confidence interval of the mean over seeds; None for fewer than
+            `ENOUGH_PAIRS` seeds.
     """
 
     mean: float
     spread: float | None
+    half: float | None = None
 
     def text(self, decimals: int, *, spread: bool) -> str:
         """Return for example `21.91 ± 0.03`, or only the mean if there is no spread or it is not wanted."""
@@ -137,8 +140,19 @@ def figure_of(by_seed: Mapping[int, Sequence[float]]) -> Figure | None:
         return None
     means = [sum(numbers) / len(numbers) for numbers in by_seed.values()]
     mean = sum(means) / len(means)
-    spread = statistics.stdev(means) if len(means) > 1 and math.isfinite(mean) else None
-    return Figure(mean, spread)
+    if not math.isfinite(mean):
+        return Figure(mean, None)
+    return Figure(mean, statistics.stdev(means) if len(means) > 1 else None, half_width(means))
+
+
+def half_width(numbers: Sequence[float]) -> float | None:
+    """Return the half width of the mean's confidence interval by Student's t; None for too few numbers."""
+    if len(numbers) < ENOUGH_PAIRS:
+        return None
+    from scipy.stats import t as student  # type: ignore[attr-defined]  # missing in its stubs
+
+    quantile = float(student.ppf((1 + CONFIDENCE) / 2, len(numbers) - 1))
+    return quantile * statistics.stdev(numbers) / math.sqrt(len(numbers))
 
 
 def equal_combinations(
@@ -186,7 +200,7 @@ class Difference:
 
     Args:
         mean: over the pairs.
-        half: half width of its confidence interval; None with too few pairs.
+        half: see `half_width`.
     """
 
     mean: float
@@ -194,22 +208,13 @@ class Difference:
 
     def text(self, decimals: int = 2) -> str:
         """Return for example `+0.31 ± 0.08`, or only the mean without an interval."""
-        mean = f"{self.mean:+.{decimals}f}"
+        mean = f"{round(self.mean, decimals) + 0.0:+.{decimals}f}"  # no "-0.00"
         return mean if self.half is None else f"{mean} ± {self.half:.{decimals}f}"
 
 
 def difference(values: Mapping[Pair, float], baseline: Mapping[Pair, float]) -> Difference | None:
-    """Return the mean difference over common keys, such as scene and seed; None without any.
-
-    The interval uses Student's t distribution and needs `ENOUGH_PAIRS` pairs.
-    """
-    from scipy.stats import t as student  # type: ignore[attr-defined]  # missing in its stubs
-
+    """Return the mean difference over common keys, such as scene and seed; None without any."""
     pairs = [value - baseline[key] for key, value in values.items() if key in baseline]
     if not pairs:
         return None
-    mean, count = statistics.mean(pairs), len(pairs)
-    if count < ENOUGH_PAIRS:
-        return Difference(mean, None)
-    quantile = float(student.ppf((1 + CONFIDENCE) / 2, count - 1))
-    return Difference(mean, quantile * statistics.stdev(pairs) / math.sqrt(count))
+    return Difference(statistics.mean(pairs), half_width(pairs))

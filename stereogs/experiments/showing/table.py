@@ -139,6 +139,13 @@ def as_text(plan: Plan, results: Results) -> str:
     return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 
+def as_latex(plan: Plan, results: Results) -> str:
+    """Return all tables in LaTeX; the notes are comments of the last one."""
+    *others, last = (replace(t, title=f"{plan.name}, {t.title}") for t in tables(plan, results))
+    noted = replace(last, notes=[*last.notes, *notes(plan, results)])
+    return "\n".join(table.latex() for table in (*others, noted))
+
+
 def notes(plan: Plan, results: Results) -> list[str]:
     """Return notes on the tables: missing metrics, deviations, and combinations without effect."""
     lines = [f"{NONE} {name}: {reason}" for name, reason in scores.unavailable(results).items()]
@@ -171,8 +178,7 @@ def as_csv(plan: Plan, results: Results, folder: ExperimentFolder) -> str:
     head = [*chosen, "scene", "seed", *(c.key for c in columns), "hash", "folder"]
     rows = [
         [
-            *(int(on) for on in run.combination.on),
-            *(choice.label if choice else "" for choice in run.combination.choices),
+            *_chosen(run.combination),
             run.scene,
             run.seed,
             *(_exact(scores.value(found, column)) for column in columns),
@@ -182,6 +188,53 @@ def as_csv(plan: Plan, results: Results, folder: ExperimentFolder) -> str:
         for run, found in results.items()
     ]
     return csv_text(head, rows)
+
+
+def means_as_csv(plan: Plan, results: Results) -> str:
+    """Return CSV with a row per combination, scene and quantity; toggles are 1 and 0.
+
+    Of several scenes, the mean over all comes first, as scene "". `deviation` is the sample standard
+    deviation over seeds, `interval` the half width of the 95 % confidence interval over seeds. `difference`
+    is the gain over the first row, over pairs of equal scene and seed. Unknown values are empty.
+    """
+    chosen = [*plan.toggles, *(variation.name for variation in plan.variations)]
+    numbers = ["mean", "deviation", "interval", "difference", "difference_interval"]
+    over_all = (None,) if len(plan.scenes) > 1 else ()
+    rows = [
+        [
+            *_chosen(combination),
+            scene or "",
+            column.key,
+            *_mean_numbers(plan, results, combination, column, scene),
+        ]
+        for scene in (*over_all, *plan.scenes)
+        for column in scores.columns(plan, results)
+        for combination in plan.combinations
+    ]
+    return csv_text([*chosen, "scene", "quantity", *numbers], rows)
+
+
+def _chosen(combination: Combination) -> list[int | str]:
+    """Return the toggles as 1 and 0, and the values, empty for a component that is off."""
+    return [
+        *(int(on) for on in combination.on),
+        *(choice.label if choice else "" for choice in combination.choices),
+    ]
+
+
+def _mean_numbers(
+    plan: Plan, results: Results, combination: Combination, column: Column, scene: str | None
+) -> list[str]:
+    mean = scores.figure(results, combination, column, scene)
+    own, first = (
+        _numbers(results, row, column, scene) for row in (combination, plan.combinations[0])
+    )
+    gained = difference(own, first) if combination != plan.combinations[0] else None
+    found = (
+        *((mean.mean, mean.spread, mean.half) if mean else (None, None, None)),
+        *((gained.mean, gained.half) if gained else (None, None)),
+    )
+    return [_exact(number) for number in found]
 
 
 def _exact(number: float | None) -> str:

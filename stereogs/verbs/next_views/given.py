@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _FIX = 'write {"frames": [{"transform_matrix": [[4 numbers], [4], [4], [4]]}, ...]}'
 _SAME = 1e-3
-"""Largest difference of a pose that is loaded again, relative."""
+"""Largest difference of a pose that is loaded again: of its rotation, and of its place in scene extents."""
 
 
 class _Frame(BaseModel):
@@ -71,7 +71,10 @@ def other_pictures(run: Run, settings: Sequence[str]) -> tuple[list[str], list[C
         source = run.folder_or_refuse().pipeline
         loaded = load_scene(build_pipeline(source, ["protocol=null", *changes]))
         views = (*loaded.train, *loaded.test)
-        moved = [v.name for v in views if v.name in trained and _moved(v.camera, trained[v.name])]
+        extent = run.scene.extent
+        moved = [
+            v.name for v in views if v.name in trained and _moved(v.camera, trained[v.name], extent)
+        ]
         if moved:
             raise RunError(
                 f"with these settings, the camera of {moved[0]} is elsewhere than in the run",
@@ -82,8 +85,7 @@ def other_pictures(run: Run, settings: Sequence[str]) -> tuple[list[str], list[C
     return [view.name for view in others], [view.camera for view in others]
 
 
-def _moved(camera: Camera, other: Camera) -> bool:
-    size = max(float(camera.center.norm()), 1e-9)
-    return float((camera.camera_to_world - other.camera_to_world).abs().max()) > _SAME * max(
-        size, 1
-    )
+def _moved(camera: Camera, other: Camera, extent: float) -> bool:
+    turned = camera.world_to_camera[:3, :3] - other.world_to_camera[:3, :3]
+    shift = (camera.center - other.center) / extent
+    return max(float(turned.abs().max()), float(shift.abs().max())) > _SAME

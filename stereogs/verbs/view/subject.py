@@ -17,6 +17,7 @@ from torch import Tensor
 from core_rasterizer import Camera, Device, ExplainedError, Gaussians, Model, OpenCLEngine, load_ply
 from registry import Scene
 from registry.confidence import Confidence
+from registry.contract.frame import Frame
 from registry.contract.scene import camera_extent
 from registry.runs.run import Run
 from registry.toolkit.drawing import upwards
@@ -76,8 +77,8 @@ class Subject:
 
 def of_run(run: Run) -> Subject:
     """Return the Gaussians of a run, not copied, with their confidence."""
-    confidence = cache(lambda: run.confidence("calibrated"))
-    return replace(_of(run, run.model, run.kinds), confidence=confidence)
+    confidence = cache(lambda: run.trained.confidence("calibrated"))
+    return replace(_of(run, run.engine_model, run.kinds), confidence=confidence)
 
 
 def snapshot(run: Run) -> Subject:
@@ -88,7 +89,7 @@ def snapshot(run: Run) -> Subject:
     """
     kept = run.checkpoint()
     gaussians = Gaussians(**kept.part("model"))
-    model = new_model(gaussians, run.pipeline.training, run.model.engine)
+    model = new_model(gaussians, run.pipeline.training, run.engine_model.engine)
     return _of(run, model, kept.part("kinds"))
 
 
@@ -98,13 +99,18 @@ def of_file(path: Path, device: Device) -> Subject:
     Raises:
         PlyError: it cannot be read, or holds no Gaussians.
     """
-    viewpoints = tuple(Viewpoint(name, camera) for name, camera in _cameras_of(path))
-    return Subject(path.name, OpenCLEngine(device).model(load_ply(path)), viewpoints)
+    gaussians = load_ply(path)
+    frame = Frame.around(gaussians)
+    viewpoints = tuple(
+        Viewpoint(name, frame.camera_of_file(camera)) for name, camera in _cameras_of(path)
+    )
+    model = OpenCLEngine(device).model(frame.gaussians_of_file(gaussians))
+    return Subject(path.name, model, viewpoints)
 
 
 def _of(run: Run, model: Model, kinds: Mapping[str, Tensor]) -> Subject:
     title = f"{run.scene.name}, {run.pipeline.name}"
-    return Subject(title, model, viewpoints_of(run.scene), run.scene.background, kinds)
+    return Subject(title, model, viewpoints_of(run.framed), run.scene.background, kinds)
 
 
 def viewpoints_of(scene: Scene) -> tuple[Viewpoint, ...]:

@@ -27,8 +27,8 @@ class BaselineSettings(Settings):
     """The distance between the two cameras of a pair."""
 
     mode: Literal["adaptive", "world", "extent"] = "adaptive"
-    """adaptive: near content has the disparity value * image width; world: value in world units;
-    extent: value * the scene's extent."""
+    """adaptive: near content has the disparity value * image width; world: value in the units of the
+    scene's files; extent: value * the scene's extent."""
     value: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Value for `mode`; null means 0.2 for adaptive, other modes require a value. StereoGS: world, 4.0."""
 
@@ -70,7 +70,7 @@ def choose_baseline(settings: BaselineSettings, step: Step, max_disparity: float
         share = SHARE_OF_WIDTH if settings.value is None else settings.value
         return median(_adaptive(r, share, max_disparity) for r in ranges)
     assert settings.value is not None
-    unit = 1.0 if settings.mode == "world" else step.extent
+    unit = 1 / step.scene.frame.unit if settings.mode == "world" else step.extent
     baseline = settings.value * unit
     for r in ranges:
         _check_overlap(r, baseline, max_disparity, unit)

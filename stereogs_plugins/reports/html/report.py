@@ -93,7 +93,8 @@ class HtmlReport(Report[HtmlReportSettings]):
             return SceneView("")
         dilation = run.training.get("dilation", 0.3)
         compensate = run.training.get("compensate_dilation", False)
-        suggested = suggested_cameras(folder, run.results.get("iterations"))
+        found = suggested_cameras(folder, run.results.get("iterations"))
+        suggested = {words: scene.frame.camera_of_file(camera) for words, camera in found.items()}
         packed = pack(trained_gaussians(folder), scene, dilation, compensate, suggested)
         if self.settings.beside:
             return view_beside(packed, folder)

@@ -128,13 +128,26 @@ def calibrated(path: Path, view_ids: list[int]) -> DtuCameras:
                 "scale_mat differs from that of the other views", where=where, fix=_FIX
             )
     center, radius = _sphere(scales[view_ids[0]], str(path))
-    return DtuCameras(
-        cameras={
-            index: _decompose(worlds[index], center, radius, f"{path}, view {index}")
-            for index in view_ids
-        },
-        bounds=(DEPTH_RANGE[0] / radius, DEPTH_RANGE[1] / radius),
-    )
+    cameras = {
+        index: _decompose(worlds[index], center, radius, f"{path}, view {index}")
+        for index in view_ids
+    }
+    depths = [float(camera.world_to_camera[2, 3]) for camera in cameras.values()]
+    return DtuCameras(cameras=cameras, bounds=_bounds(depths, radius))
+
+
+def _bounds(depths: list[float], radius: float) -> tuple[float, float]:
+    """Return the scans' depth range; for a file in another unit than millimetres, that of the unit sphere.
+
+    Args:
+        depths: of the sphere's centre in each camera, in units of the sphere.
+        radius: of the sphere in the file.
+    """
+    near, far = DEPTH_RANGE[0] / radius, DEPTH_RANGE[1] / radius
+    nearest, farthest = min(depths), max(depths)
+    if near < nearest and farthest < far:
+        return near, far
+    return max(nearest - 1, nearest / 4), farthest + 1
 
 
 def _sphere(scale: _Array, where: str) -> tuple[_Array, float]:

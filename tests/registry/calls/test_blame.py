@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+
 import pytest
 
 from core_rasterizer import CameraError
@@ -23,6 +25,24 @@ def test_any_exception_becomes_an_error_with_a_name(item: Item) -> None:
     assert error.where == "metric 'psnr' (unknown package ?) at my.yaml:5, iteration 42"
     assert "--disable psnr" in error.fix
     assert isinstance(error.__cause__, ZeroDivisionError)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 386. MiB"),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes."),
+        RuntimeError("std::bad_alloc"),
+    ],
+)
+def test_memory_that_runs_out_is_no_fault_of_the_authors(item: Item, error: Exception) -> None:
+    with pytest.raises(PluginError, match="memory ran out in") as caught, blame(item, 42):
+        raise error
+    assert caught.value.what.startswith("memory ran out in the metric 'psnr': ")
+    assert caught.value.where.endswith("iteration 42")
+    assert "end other programs" in caught.value.fix
+    assert "authors" not in caught.value.fix
 
 
 @pytest.mark.parametrize("kind", [SceneError, PluginError, CameraError])

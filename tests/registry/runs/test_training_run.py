@@ -179,6 +179,25 @@ def test_a_full_folder_is_refused_before_anything_is_loaded(
         run(toys, device, tmp_path, "scene.mode=crash")
 
 
+def test_a_name_that_another_training_takes_meanwhile_is_left_to_it(
+    toys: Plugins, device: Device, tmp_path: Path
+) -> None:
+    names = [tmp_path / "run", tmp_path / "run-2"]
+
+    def out(*given: object) -> Path:
+        free = next(path for path in names if not path.exists())
+        if free == names[0]:  # the other training creates its folder now
+            free.mkdir()
+            (free / "its file").touch()
+        return free
+
+    options = RunOptions(progress=False, device=device)
+    kept = start_run(pipeline(toys), options, out)
+    assert [path.name for path in names[0].iterdir()] == ["its file"]
+    assert kept.folder is not None
+    assert kept.folder.path == names[1]
+
+
 def test_a_scene_without_test_views(toys: Plugins, device: Device, tmp_path: Path) -> None:
     folder, finished, _ = run(toys, device, tmp_path / "run", "scene.test_views=0")
     assert finished

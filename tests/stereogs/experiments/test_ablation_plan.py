@@ -46,6 +46,27 @@ def test_all_on_is_the_unchanged_pipeline(toys: Plugins, tmp_path: Path) -> None
     assert made.runs[-1].pipeline == parse_pipeline(path.read_text(), toys)
 
 
+@pytest.mark.parametrize(
+    ("written", "labels"),
+    [
+        ("./a,{use: toy_scene, test_views: 0, name: x}", ("a", "x")),
+        ('{use: toy_scene, path: "x/b, it\'s"},./c', ("b, it's", "c")),
+        ("'./d, e', ./it's, 2024", ("d, e", "it's", "2024")),
+        ("./f[1],./{g", ("f[1]", "{g")),
+    ],
+)
+def test_scenes_are_split_like_values(
+    toys: Plugins, tmp_path: Path, written: str, labels: tuple[str, ...]
+) -> None:
+    made = plan(write(tmp_path), toys, toggles="second", scenes=written)
+    assert made.scenes == labels
+
+
+def test_a_scene_that_ends_too_early_is_refused(toys: Plugins, tmp_path: Path) -> None:
+    with pytest.raises(PipelineError, match="--scenes"):
+        plan(write(tmp_path), toys, toggles="second", scenes="{use: toy_scene, ./a")
+
+
 def test_seeds_vary_fastest_then_scenes(toys: Plugins, tmp_path: Path) -> None:
     made = plan(write(tmp_path), toys, vary=("opacity.factor=0.5,0.6",), scenes="./a,./b", seeds=2)
     assert made.size == "2 combinations x 2 scenes x 2 seeds = 8 runs"

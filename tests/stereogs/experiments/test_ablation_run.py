@@ -65,6 +65,8 @@ def test_an_ablation_from_the_command_line(
         assert f"{results['test']['psnr']:.2f}" in (out / "ablation.txt").read_text()
     assert first["0"]["hash"] != first["1"]["hash"]
     assert (out / "ablation.txt").read_text() in printed
+    assert r"\begin{tabular}{lrr" in (out / "ablation.tex").read_text()
+    assert (out / "ablation_means.csv").read_text().startswith("dropout,scene,quantity,mean,")
     assert (out / "index.html").read_text("utf-8").count("<img") == 5
 
     # One run broken beyond repair: it alone is trained again, to the same bits.
@@ -131,6 +133,26 @@ def test_a_failure_is_reported_and_other_results_are_kept(
     text = (out / "ablation.txt").read_text()
     assert "0/1" in text
     assert "1/1" not in text
+
+
+def test_scenes_are_loaded_before_the_first_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,llff,sfm,dropout,psnr")
+    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
+    pipeline, out = tmp_path / "tiny.yaml", tmp_path / "out"
+    scene = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
+    pipeline.write_text(TINY.replace(scene, "{use: llff, path: x}"))
+    scenes = "procedural,{use: procedural, width: 32, height: 24}"
+    command = ["ablate", str(pipeline), "--toggle", "dropout", "--seeds", "3", "--out", str(out)]
+    assert main([*command, "--scenes", scenes]) == 2
+    assert "two scenes are called 'procedural'" in capsys.readouterr().err
+    scenes = scenes.replace("width", "name: small, width")
+    assert main([*command, "--scenes", scenes]) == 2
+    error = capsys.readouterr().err
+    assert "1 of 2 scenes cannot be loaded, so nothing is trained" in error
+    assert "written {use: procedural}" in error
+    assert [*(out / "runs").iterdir()] == []
 
 
 def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:

@@ -20,7 +20,13 @@ from stereogs.experiments.planning.plan import Plan
 from stereogs.experiments.running.folder import ExperimentFolder
 from stereogs.experiments.showing import scores
 from stereogs.experiments.showing.page import as_page, plots
-from stereogs.experiments.showing.table import as_csv, as_text, scene_table
+from stereogs.experiments.showing.table import (
+    as_csv,
+    as_latex,
+    as_text,
+    means_as_csv,
+    scene_table,
+)
 from tests.host import Plugins, write_json
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
@@ -125,6 +131,30 @@ def test_infinite_and_unavailable_scores(made: Plan) -> None:
     assert table.rows[0][2] == Cell("inf", strong=True)
     assert math.isinf(scores.value(results[made.runs[0]], scores.columns(made, results)[0]) or 0)
     assert "- lpips: there is no model file" in as_text(made, results)
+
+
+def test_the_means_as_csv_and_latex(toys: Plugins, tmp_path: Path) -> None:
+    made = plan(write(tmp_path), toys, vary=("opacity.factor=0.5,0.6",), seeds=3)
+    results = measured(made)
+    rows = list(csv.DictReader(io.StringIO(means_as_csv(made, results))))
+    psnr, gained = [row for row in rows if row["quantity"] == "psnr"]
+    # Seeds differ by 1: standard deviation 1; Student's t with two degrees of freedom.
+    half = 4.302652729911275 / math.sqrt(3)
+    assert (psnr["scene"], psnr["mean"], psnr["deviation"]) == ("garden", "21", "1")
+    assert float(psnr["interval"]) == pytest.approx(half)
+    assert (psnr["difference"], psnr["difference_interval"]) == ("", "")
+    assert (gained["mean"], gained["difference"], gained["difference_interval"]) == ("24", "3", "0")
+    text = as_latex(made, results)
+    assert r"0.6 & \textbf{24.00 $\pm$ 1.00} & " in text
+    assert r"factor & psnr $\uparrow$ & " in text
+    assert text.count(r"\end{tabular}") == 2
+    results[made.runs[0]] = {}
+    first, _ = list(csv.DictReader(io.StringIO(means_as_csv(made, results))))[:2]
+    assert first["mean"] == ""
+
+
+def test_a_difference_is_never_minus_zero() -> None:
+    assert scores.Difference(-0.001, 0.3).text() == "+0.00 ± 0.30"
 
 
 def test_the_csv_has_a_row_per_run(made: Plan, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ class World:
     Args:
         shift: of the principal point from the image's centre, pixels.
         distortion: OpenCV's k1 k2 p1 p2.
+        origin, unit: of the files; a point p is written as origin + unit * p.
     """
 
     count: int = 9
@@ -44,6 +45,8 @@ class World:
     height: int = 48
     shift: tuple[float, float] = (0.0, 0.0)
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unit: float = 1.0
 
     @property
     def focal(self) -> float:
@@ -53,8 +56,21 @@ class World:
     def principal_point(self) -> tuple[float, float]:
         return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]
 
+    @property
+    def points(self) -> Array:
+        """`POINTS` as the files have them."""
+        moved: Array = np.array(self.origin) + self.unit * POINTS
+        return moved
+
     def pose(self, index: int) -> Array:
-        """World-to-camera, OpenCV axes; written down here without any code under test."""
+        """World-to-camera as the files have it."""
+        pose = self.plain_pose(index)
+        rotation, translation = pose[:3, :3], pose[:3, 3]
+        pose[:3, 3] = self.unit * translation - rotation @ np.array(self.origin)
+        return pose
+
+    def plain_pose(self, index: int) -> Array:
+        """World-to-camera of `POINTS`, OpenCV axes; written down here without any code under test."""
         angle = math.radians(60) * (index / (self.count - 1) - 0.5)
         center = np.array([4 * math.sin(angle), 0.3 * (-1) ** index, -4 * math.cos(angle)])
         forward = -center / np.linalg.norm(center)
@@ -67,7 +83,8 @@ class World:
 
     def project(self, index: int, points: Array = POINTS) -> Array:
         """`[P, 2]` pixels of points in the photograph as taken, distortion included."""
-        local = points @ self.pose(index)[:3, :3].T + self.pose(index)[:3, 3]
+        pose = self.plain_pose(index)
+        local = points @ pose[:3, :3].T + pose[:3, 3]
         x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
         k1, k2, p1, p2 = self.distortion
         squared = x**2 + y**2
@@ -80,7 +97,7 @@ class World:
     def photograph(self, index: int) -> NDArray[np.uint8]:
         """`[H, W, 3]`: grey, with a square of 3x3 pixels around each point, the nearest on top."""
         pixels = np.full((self.height, self.width, 3), GREY, dtype=np.uint8)
-        depth = POINTS @ self.pose(index)[2, :3]
+        depth = POINTS @ self.plain_pose(index)[2, :3]
         for k in np.argsort(-depth):
             column, row = np.floor(self.project(index)[k]).astype(int)
             pixels[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = COLORS[k]
@@ -108,11 +125,11 @@ def write_llff(folder: Path, world: World) -> Path:
         right, up, backwards, center = world.camera_to_world_opengl(index)[:3].T
         size = np.array([2.0 * world.height, 2.0 * world.width, 2.0 * world.focal])
         matrix = np.stack([-up, right, backwards, center, size], axis=1)
-        rows.append([*matrix.ravel(), 2.0, 6.0])
+        rows.append([*matrix.ravel(), 2.0 * world.unit, 6.0 * world.unit])
     np.save(folder / "poses_bounds.npy", np.array(rows))
     np.savez(
         folder / "points3d.npz",
-        xyz=POINTS.astype(np.float32),
+        xyz=world.points,
         rgb=COLORS,
         track_len=np.full(len(POINTS), world.count),
         track_image_ids=np.tile(np.arange(world.count) + 1, len(POINTS)),
@@ -165,8 +182,8 @@ def write_dtu(folder: Path, world: World) -> Path:
     """49 views; the world in millimetres, `scale_mat` leads to it from that of `POINTS`."""
     world.save_photographs(folder / "image", [f"{index:06d}.png" for index in range(DTU_VIEWS)])
     (folder / "mask").mkdir()
-    scale = np.diag([DTU_RADIUS, DTU_RADIUS, DTU_RADIUS, 1.0])
-    scale[:3, 3] = DTU_CENTER
+    scale = np.diag([DTU_RADIUS * world.unit] * 3 + [1.0])
+    scale[:3, 3] = DTU_CENTER * world.unit + np.array(world.origin)
     zoom = 1600 / world.width
     cx, cy = world.principal_point
     intrinsics = np.eye(4)
@@ -175,7 +192,7 @@ def write_dtu(folder: Path, world: World) -> Path:
     matrices: dict[str, Any] = {}
     for index in range(DTU_VIEWS):
         Image.fromarray(dtu_mask(world)).save(folder / "mask" / f"{index:03d}.png")
-        world_mat = intrinsics @ world.pose(index) @ np.linalg.inv(scale)
+        world_mat = intrinsics @ world.plain_pose(index) @ np.linalg.inv(scale)
         matrices[f"world_mat_{index}"] = world_mat * 10.0 ** (index % 3)  # its scale says nothing
         matrices[f"scale_mat_{index}"] = scale
     np.savez(folder / "cameras_sphere.npz", **matrices)
@@ -218,7 +235,7 @@ def write_colmap(folder: Path, world: World, *, text: bool = False, model: str =
         )
         rotation = pycolmap.Rotation3d(Rotation.from_matrix(pose[:3, :3]).as_quat())
         reconstruction.add_image_with_trivial_frame(image, pycolmap.Rigid3d(rotation, pose[:3, 3]))
-    for number, (point, color) in enumerate(zip(POINTS, COLORS, strict=True)):
+    for number, (point, color) in enumerate(zip(world.points, COLORS, strict=True)):
         track = pycolmap.Track()
         for index in range(world.count):
             track.add_element(world.count - index, number)

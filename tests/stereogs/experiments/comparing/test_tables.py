@@ -31,6 +31,17 @@ def test_the_table(make: Make, capsys: Capture) -> None:
     assert ["plain", "mean", "of", "2", "23.00", "0.700", dash, "1,000", "60", "500"] in lines
 
 
+def test_runs_that_differ_only_in_the_seed_have_their_mean(make: Make, capsys: Capture) -> None:
+    seeds = [make(f"s{n}", {"test/psnr": 20.0 + n}, {"training/seed": n}) for n in range(3)]
+    again = make("again", {"test/psnr": 20.0})  # of seed 0: counts once
+    other = make("other", None, {"training/iterations": 5})
+    assert main(["compare", *map(str, [*seeds, again, other])]) == 0
+    output = capsys.readouterr().out
+    (line,) = (" ".join(row.split()) for row in output.splitlines() if "mean of" in row)
+    assert line.startswith("1000 iterations fern, mean of 3 seeds 21.00 ± 2.48 0.700 ± 0.000 –")  # noqa: RUF001
+    assert "95% confidence interval" in output
+
+
 def test_runs_that_are_not_comparable_have_separate_tables(make: Make, capsys: Capture) -> None:
     folders = [make("a"), make("b", {"protocol": None}), make("c"), make("d", {"scene/width": 9})]
     groups = comparable_groups([read_run(folder) for folder in folders])
