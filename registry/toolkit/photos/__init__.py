@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         Tracks as Tracks,
         read_colmap_model as read_colmap_model,
     )
+    from .copies import Impression as Impression
     from .decoder import (
         BACKGROUNDS as BACKGROUNDS,
         HEIF_SUFFIXES as HEIF_SUFFIXES,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
         PosedPhoto as PosedPhoto,
         usable_photos as usable_photos,
     )
+    from .masks import masks_beside as masks_beside
     from .reading import (
         IMAGE_SUFFIXES as IMAGE_SUFFIXES,
         Finite as Finite,

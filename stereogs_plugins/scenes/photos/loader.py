@@ -226,12 +226,11 @@ def _warn_of_exif(model: ColmapModel, found: list[UnposedPhoto]) -> None:
 
 
 def _facts_of_left_out(folder: Path, files: list[LeftOut], disconnected: list[str]) -> list[Fact]:
-    names = [str(path.relative_to(folder)) for path, _ in files]
-    few = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
     facts = []
-    if names:
-        text = f"{len(names)} left out: {few}"
-        facts.append(Fact("other_files", len(names), text, affects_scores=False))
+    if files:
+        lines = left_out_lines(folder, files) or [COMPANION]
+        text = f"{len(files)} left out: {'; '.join(lines)}"
+        facts.append(Fact("other_files", len(files), text, affects_scores=False))
     if disconnected:
         facts.append(Fact("disconnected_photographs", ", ".join(disconnected)))
     return facts

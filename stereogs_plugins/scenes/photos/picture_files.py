@@ -22,11 +22,13 @@ _COMPANION_NAMES = ("thumbs.db", "ehthumbs.db", "desktop.ini", "picasa.ini", "ic
 _VIDEOS = (".mov", ".mp4", ".m4v", ".3gp", ".avi")
 _COMPANION_SUFFIXES = (".aae", ".xmp", ".thm", ".ctg", ".lrv", *_VIDEOS)
 _COMPANION_FOLDERS = ("__macosx", "@eadir")
+_RUN_FILES = {"pipeline.yaml", "provenance.json"}
+"""Files of a folder that a training run wrote; its pictures are renders."""
 _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
 COMPANION = "a companion file of pictures"
-_MAX_NAMES = 6
+_MAX_NAMES, _MAX_LINES = 6, 12
 
 
 class LeftOut(NamedTuple):
@@ -43,19 +45,25 @@ class FolderContent(NamedTuple):
         pictures: files in supported formats, including HEIC.
         unreadable: pictures in unsupported formats.
         companions: companion files of pictures.
+        runs: folders of training runs, which are not searched.
         others: the rest.
     """
 
     pictures: list[Path]
     unreadable: list[Path]
     companions: list[Path]
+    runs: list[Path]
     others: list[Path]
 
 
 def list_content(folder: Path) -> FolderContent:
     """Classify the files of a folder by name and suffix, without following links to folders."""
-    content = FolderContent([], [], [], [])
+    content = FolderContent([], [], [], [], [])
     for place, folders, files in os.walk(folder):
+        if _RUN_FILES.issubset(files) and Path(place) != folder:
+            content.runs.append(Path(place))
+            folders.clear()
+            continue
         folders[:] = [
             f for f in folders if not f.startswith(".") and f.lower() not in _COMPANION_FOLDERS
         ]
@@ -117,6 +125,7 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
     content = list_content(folder)
     without_suffix = {path.with_suffix("") for path in content.pictures}
     left_out = [LeftOut(path, COMPANION) for path in content.companions]
+    left_out += [LeftOut(path, "the folder of a training run") for path in content.runs]
     left_out += [LeftOut(path, "not a picture") for path in content.others]
     for path in content.unreadable:
         if path.with_suffix("") in without_suffix:
@@ -142,11 +151,16 @@ def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:
 
 
 def left_out_lines(folder: Path, files: Sequence[LeftOut]) -> list[str]:
-    """Return a line for each reason, with the files that share it, except files that belong to pictures."""
+    """Return a line for each reason, with the files that share it, except files that belong to pictures.
+
+    Of very many lines, the first ones and the number of the others.
+    """
     told = [file for file in files if file.reason != COMPANION]
     names = [path.relative_to(folder).as_posix() for path, _ in told]
     lines = reason_lines({k: reason for k, (_, reason) in enumerate(told)}, names)
-    return [line.strip() for line in lines]
+    lines = [line.strip() for line in lines]
+    more = len(lines) - _MAX_LINES
+    return [*lines[:_MAX_LINES], f"and {more} more"] if more > 1 else lines
 
 
 def listed(group: Sequence[int], names: Sequence[str]) -> str:

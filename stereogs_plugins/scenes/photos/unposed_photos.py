@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry import SceneError
-from registry.toolkit.photos import Size, open_8_bit, upright_size
+from registry.toolkit.photos import Impression, Size, open_8_bit, upright_size
 from registry.toolkit.progress import in_parallel
 
 from .photogrammetry.thresholds import EXIF_FOCAL_RANGE, MIN_PHOTOS
@@ -22,6 +22,8 @@ _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
+_SHARPER = 1.05
+"""Ratio of contrasts from which a picture is sharper than its copy, see `Impression.contrast`."""
 _DIAGONAL_35MM = math.hypot(36, 24)
 """Diagonal of a 35 mm frame in millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
 
@@ -39,6 +41,7 @@ class UnposedPhoto:
         camera: make and model by EXIF; empty if unknown.
         digest: hash of the file's bytes.
         transparent: True if some pixels are not opaque.
+        impression: recognizes copies.
     """
 
     path: Path
@@ -49,6 +52,7 @@ class UnposedPhoto:
     camera: str
     digest: str
     transparent: bool
+    impression: Impression = field(compare=False, repr=False)
 
 
 class PictureFolder(NamedTuple):
@@ -66,7 +70,7 @@ class PictureFolder(NamedTuple):
 def read_folder(folder: Path) -> PictureFolder:
     """Read the pictures in a folder and its subfolders.
 
-    Pictures that cannot be read and copies of other pictures are left out.
+    Pictures that cannot be read are left out, and copies of others in whatever format, size and quality.
 
     Raises:
         SceneError: the folder is missing, or has fewer than three usable pictures, or two whose focal length
@@ -78,13 +82,8 @@ def read_folder(folder: Path) -> PictureFolder:
     )
     photos = [photo for photo in read if isinstance(photo, UnposedPhoto)]
     left_out += [file for file in read if isinstance(file, LeftOut)]
-    original: dict[str, UnposedPhoto] = {}
-    for photo in sorted(photos, key=lambda photo: len(photo.name)):
-        original.setdefault(photo.digest, photo)
-    for photo in photos:
-        if original[photo.digest] is not photo:
-            left_out.append(LeftOut(photo.path, f"a copy of {original[photo.digest].name}"))
-    photos = [photo for photo in photos if original[photo.digest] is photo]
+    photos, copies = _without_copies(photos)
+    left_out += copies
     lens_known = all(photo.focal is not None for photo in photos)
     if len(photos) < (2 if lens_known else MIN_PHOTOS):
         what = (
@@ -101,6 +100,47 @@ def read_folder(folder: Path) -> PictureFolder:
     return PictureFolder(photos, left_out)
 
 
+def _without_copies(photos: list[UnposedPhoto]) -> tuple[list[UnposedPhoto], list[LeftOut]]:
+    """Return the best one of each photograph, and the others.
+
+    The best has most pixels, then a focal length, then most bytes. A render, which is less sharp than the
+    photograph of the same size, is not the best, whatever it has.
+    """
+    kept: list[UnposedPhoto] = []
+    copies: list[tuple[UnposedPhoto, int]] = []
+    for photo in sorted(photos, key=_worth):
+        place = next((k for k, other in enumerate(kept) if _are_copies(photo, other)), None)
+        if place is None:
+            kept.append(photo)
+            continue
+        best = kept[place]
+        if (
+            photo.size == best.size
+            and photo.impression.contrast > _SHARPER * best.impression.contrast
+        ):
+            kept[place], photo = photo, best
+        copies.append((photo, place))
+    left_out = [LeftOut(photo.path, _copy_of(kept[place], photo)) for photo, place in copies]
+    return sorted(kept, key=lambda photo: photo.path), sorted(left_out)
+
+
+def _worth(photo: UnposedPhoto) -> tuple[Any, ...]:
+    """Order of copies, the best first."""
+    width, height = photo.size
+    size = photo.path.stat().st_size
+    return -width * height, photo.focal is None, -size, len(photo.name), photo.name
+
+
+def _are_copies(first: UnposedPhoto, second: UnposedPhoto) -> bool:
+    return first.digest == second.digest or first.impression.is_copy_of(second.impression)
+
+
+def _copy_of(best: UnposedPhoto, photo: UnposedPhoto) -> str:
+    width, height = photo.size
+    smaller = f", of {width}x{height} pixels only" if photo.size != best.size else ""
+    return f"a copy of {best.name}{smaller}"
+
+
 def _read(path: Path, name: str) -> UnposedPhoto | LeftOut:
     try:
         with open_8_bit(path, "the photograph") as file:
@@ -112,13 +152,11 @@ def _read(path: Path, name: str) -> UnposedPhoto | LeftOut:
             ).strip()
             focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
-            # Decode it to find damage; at a lower resolution where the format (JPEG) allows it.
-            file.draft(None, (1, 1))
-            file.load()
+            impression = Impression.of(file)  # decodes it, which finds damage
             transparent = file.has_transparency_data and _has_clear_pixels(file)
     except SceneError as error:
         return LeftOut(path, error.what)
-    return UnposedPhoto(path, name, size, turned, focal, camera, digest, transparent)
+    return UnposedPhoto(path, name, size, turned, focal, camera, digest, transparent, impression)
 
 
 def _has_clear_pixels(file: Image.Image) -> bool:

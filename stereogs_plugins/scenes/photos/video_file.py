@@ -1,7 +1,8 @@
 """`video`: frames of a video file as photographs without cameras.
 
 Of evenly spaced candidates, the frames are chosen that are sharp (variance of the Laplacian, Pech-Pacheco et
-al. 2000) and have the same image motion between them, so that a camera that rests gives one frame only.
+al. 2000) and have the same image motion between them. Candidates that show the same as the one before, as in
+24 frames a second stored as 30, count once.
 
     STEREOGS_CACHE/frames/<key>/frame_000123.png    key: hash of the file, number of frames, this code
 """
@@ -20,7 +21,9 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from pydantic import Field
 
 from registry import Fact, Scene, SceneError, SceneLoader
+from registry.toolkit import counted
 from registry.toolkit.cache import Cache, content_key, source_digest
+from registry.toolkit.photos import Impression
 
 from .loader import PhotosScene, PhotosSettings
 
@@ -37,6 +40,7 @@ CANDIDATES = 8
 """Frames that are considered for each chosen one."""
 _SHARPNESS_SIZE, _MOTION_SIZE = 640, 160
 """Longer side, in pixels, of the frames in which sharpness and motion are measured."""
+_MIN_FRAMES = 3
 _MIN_MOTION = 1e-4
 """Motion between candidates at least, as a share of the frame: frames of a still clip are spaced by time."""
 _FIX = (
@@ -101,11 +105,21 @@ def _extract(video: Path, wanted: int, folder: Path) -> None:
     with video.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     cache = Cache("frames")
-    key = content_key(digest, str(wanted), cv2.__version__, source_digest(chosen_frames))
+    code = source_digest(chosen_frames, Impression)
+    key = content_key(digest, str(wanted), cv2.__version__, code)
     if cache.load(key, copy):
         return
     _log.info("choosing %d frames of %s", wanted, video.name)
-    _write(video, set(chosen_frames(_candidates(video, wanted), wanted)), folder)
+    candidates = _candidates(video, wanted)
+    if len(candidates) < min(wanted, _MIN_FRAMES):
+        raise SceneError(
+            f"only {counted(len(candidates), 'frame')} of the video differ: the camera does not move",
+            where=str(video),
+            fix="walk around the subject while you film, or give a folder of photographs",
+        )
+    if len(candidates) < wanted:
+        _log.info("only %d frames that were looked at differ from the one before", len(candidates))
+    _write(video, set(chosen_frames(candidates, wanted)), folder)
     cache.save(key, lambda entry: shutil.copytree(folder, entry, dirs_exist_ok=True))
 
 
@@ -148,21 +162,29 @@ def chosen_frames(candidates: Sequence[Candidate], wanted: int) -> list[int]:
 
 
 def _candidates(video: Path, wanted: int) -> list[Candidate]:
+    """Candidates that differ from the one before; of those that show the same, the sharpest."""
     import cv2
     import numpy as np
+    from PIL import Image
 
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     before: Pixels | None = None
-    found = []
+    found: list[Candidate] = []
+    last: Impression | None = None
     for number, frame in _frames(video, CANDIDATES * wanted):
         grey = _reduced(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), _SHARPNESS_SIZE)
+        sharpness = float(cv2.Laplacian(grey, cv2.CV_64F).var())
+        shown = Impression.of(Image.fromarray(grey))
+        if last is not None and shown.is_copy_of(last):
+            if sharpness > found[-1].sharpness:
+                found[-1] = found[-1]._replace(number=number, sharpness=sharpness)
+            continue
         small, motion = _reduced(grey, _MOTION_SIZE), 0.0
         if before is not None:
             moved = flow.calc(before, small, np.zeros((*small.shape, 2), np.float32))
             motion = float(np.linalg.norm(moved, axis=2).mean() / max(small.shape))
-        sharpness = float(cv2.Laplacian(grey, cv2.CV_64F).var())
         found.append(Candidate(number, sharpness, motion))
-        before = small
+        before, last = small, shown
     if not found:
         raise SceneError("the video has no frame that can be read", where=str(video), fix=_FIX)
     return found

@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import load_file
 
 from core_rasterizer import Device
-from registry import Context, Settings
+from registry import Context, Settings, TrainingView
 from registry.priors import MonocularDepthPrior
 from registry.priors.prior_cache import load_estimate, save_estimate
 from registry.testing import tiny_scene
@@ -47,6 +47,42 @@ def test_other_inputs_are_computed_again(cache: Path) -> None:
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
     mono.inverse_depth_of(replace(scene.train[0], image=changed))
     assert mono.calls == 2
+
+
+class LevelSettings(Settings):
+    level: int = 0
+
+
+class Level(MonocularDepthPrior[LevelSettings]):
+    calls = 0
+
+    def estimate(self, image: torch.Tensor) -> torch.Tensor:
+        self.calls += 1
+        return image.mean(dim=2) + self.settings.level
+
+
+VIEW = tiny_scene().train[0]
+CHANGED_VIEWS: dict[str, TrainingView] = {
+    "alpha": replace(VIEW, alpha=torch.ones(24, 32)),
+    "mask": replace(VIEW, mask=torch.ones(24, 32, dtype=torch.bool)),
+    "intrinsics": replace(VIEW, camera=replace(VIEW.camera, cx=VIEW.camera.cx + 1e-9)),
+    "pose": replace(VIEW, camera=VIEW.camera.shifted_right(1e-9)),
+}
+
+
+@pytest.mark.parametrize("changed", ["settings", "code", *CHANGED_VIEWS])
+def test_each_part_of_the_key_counts_alone(
+    cache: Path, device: Device, monkeypatch: pytest.MonkeyPatch, changed: str
+) -> None:
+    def calls(view: TrainingView, level: int = 0) -> int:
+        prior = Level(LevelSettings(level=level), Context("level", 0, device))
+        prior.inverse_depth_of(view)
+        return prior.calls
+
+    assert [calls(VIEW), calls(VIEW)] == [1, 0]
+    if changed == "code":
+        monkeypatch.setattr("registry.priors.prior_cache.package_digest", lambda *_: "other")
+    assert calls(CHANGED_VIEWS.get(changed, VIEW), int(changed == "settings")) == 1
 
 
 def test_cached_estimates_have_images(cache: Path) -> None:

@@ -27,6 +27,11 @@ def brighter(view: View) -> View:
     return replace(view, image=image)
 
 
+def depth_of(view: View) -> torch.Tensor:
+    assert view.depth is not None
+    return view.depth
+
+
 def some_points() -> PointCloud:
     points = tiny_scene().points
     assert points is not None
@@ -47,6 +52,14 @@ CHANGES: dict[str, tuple[Scene, tuple[str, ...]]] = {
     "an alpha": (
         with_view(lambda v: replace(v, alpha=torch.ones(24, 32))),
         ("the alpha of view0",),
+    ),
+    "the shape of a depth": (
+        with_view(lambda v: replace(v, depth=depth_of(v).reshape(32, 24))),
+        ("the depth of view0",),
+    ),
+    "the type of a depth": (
+        with_view(lambda v: replace(v, depth=depth_of(v).view(torch.int32))),
+        ("the depth of view0",),
     ),
     "no depth": (with_view(lambda v: replace(v, depth=None)), ("the depth of view0",)),
     "the bounds": (replace(tiny_scene(), bounds=(1.0, 6.0)), ("the depth bounds",)),

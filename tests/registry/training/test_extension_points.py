@@ -13,6 +13,7 @@ from registry import PluginError, Step
 from registry.testing import tiny_scene
 from registry.training.assembly import assemble, restore
 from registry.training.checkpoint import Checkpoint
+from registry.training.field import Field
 from registry.training.trainer import Iteration, Trainer
 from tests.host import PARAMETERS, Parts, Plugins, parse_pipeline
 from tests.registry.toy_extension_points import ToyTwin
@@ -70,6 +71,12 @@ def test_a_sampler_changes_target_view_and_background(make: Make) -> None:
     one_view = make("samplers: [{use: toy_target, brightness: 1, first_view: true}]\n")
     train(one_view)
     assert one_view.model.digest() != plain.model.digest()
+
+
+def test_a_band_that_fades_in_is_trained(make: Make) -> None:
+    trainer = make("samplers: [{use: toy_target, sh_degree: 0.5}]\n", "training.iterations=1")
+    train(trainer)
+    assert trainer.model.read("sh")[:, 1:4].any()
 
 
 def test_a_target_of_another_size_is_refused(make: Make) -> None:
@@ -200,6 +207,21 @@ opacity: [{use: toy_fade, value: 0.5}, {use: toy_fade, name: again, factor: 0.5}
     assert trainer.model.opacities().allclose(torch.tensor(0.25))
 
 
+def test_one_policy_that_resets_is_enough(make: Make) -> None:
+    text = "opacity: [{use: toy_fade, reset: true}, {use: toy_fade, name: again, factor: 1}]\n"
+    trainer = make(text, "training.iterations=1")
+    train(trainer)
+    assert not trainer.fields[0].optimizer.state()["second_moments"][10].any()
+
+
+def test_statistics_are_restored(make: Make) -> None:
+    text = "densification: {use: toy_move, every: 5}\n"
+    whole, second = resumed(make, text, "training.iterations=4")
+    sums = whole.model.statistics.sums()
+    assert sums.any()
+    assert torch.equal(sums, second.model.statistics.sums())
+
+
 def test_states_follow_edits_that_add_split_and_relocate(make: Make) -> None:
     text = "densification: {use: toy_move, children: 3, add: 2, relocate: 2, start: 5, stop: 5}\n"
     trainer = make(text)
@@ -283,6 +305,42 @@ def test_fields_in_lock_step_differ_and_see_each_other(make: Make) -> None:
     assert done[-1].logged["others"] == 2
     assert done[-1].logged["field2/others"] == 2
     assert done[-1].gaussians == trainer.fields[0].model.count
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["modifiers: [toy_dropout]\n", "densification: {use: toy_move, children: 3, stop: 1}\n"],
+    ids=["components", "children of splits"],
+)
+def test_each_source_of_random_numbers_separates_fields_alone(make: Make, text: str) -> None:
+    trainer = make(text, "training.fields=2")
+    train(trainer)
+    first, second = (field.model.digest() for field in trainer.fields)
+    assert first != second
+
+
+def test_each_stage_runs_for_all_fields_before_the_next(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stages = (
+        *("begin", "step_terms_alone", "render", "differentiate"),
+        *("update_opacities", "change_topology", "step_optimizer", "perturb"),
+    )
+    called: list[tuple[str, int]] = []
+
+    def noting(name: str) -> Callable[..., Any]:
+        stage = getattr(Field, name)
+
+        def run(field: Field, *given: Any) -> Any:
+            called.append((name, field.index))
+            return stage(field, *given)
+
+        return run
+
+    for name in stages:
+        monkeypatch.setattr(Field, name, noting(name))
+    train(make("", "training.fields=2", "training.iterations=1"))
+    assert called == [(name, index) for name in stages for index in (0, 1)]
 
 
 def test_other_fields_do_not_change_the_first(make: Make) -> None:

@@ -5,9 +5,13 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians, open_device
-from registry import OtherField, PluginError, Step
+from registry import HostDefaults, OtherField, Percent, PluginError, Step
 from stereogs_plugins.densification.co_pruning import CoPruning
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
+
+
+def test_the_default_schedule() -> None:
+    assert CoPruning.host_defaults == HostDefaults(start=Percent(10), every=Percent(5))
 
 
 def at(positions: Tensor) -> Gaussians:

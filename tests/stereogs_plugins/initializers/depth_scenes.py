@@ -17,11 +17,17 @@ from stereogs_plugins.initializers.consistency_dense.view_depth import ViewDepth
 
 
 def camera_at(
-    x: float, *, width: int = 60, height: int = 40, cx: float = 30.0, cy: float = 20.0
+    x: float,
+    y: float = 0.0,
+    *,
+    width: int = 60,
+    height: int = 40,
+    cx: float = 30.0,
+    cy: float = 20.0,
 ) -> Camera:
-    """A camera at (x, 0, 0) that looks along +z with a focal length of 50 pixels."""
+    """A camera at (x, y, 0) that looks along +z with a focal length of 50 pixels."""
     pose = torch.eye(4, dtype=torch.float64)
-    pose[0, 3] = -x
+    pose[0, 3], pose[1, 3] = -x, -y
     return Camera(pose, 50.0, 50.0, cx, cy, width, height)
 
 

@@ -154,6 +154,18 @@ def test_a_gradient_that_is_not_finite_stops_the_decay(function: str, value: flo
     assert logged["opacity_gradient_undefined"] == 1
 
 
+def test_the_smallest_opacities_keep_their_slope() -> None:
+    """The gradients in the opacities themselves are both 1."""
+    opacities = torch.tensor([OPACITY_MARGIN, 2 * OPACITY_MARGIN])
+    step, model = moment_with(some_gaussians([0.1, 0.1], opacities.tolist()))
+    gradients = model.gradients.rows.read().clone()
+    gradients[10, :2] = opacities
+    model.gradients.rows.write(gradients)
+    update = updated(build(GradientAwareDecay, base=0.5), step)
+    expected = (1 - 0.5 * math.exp(-0.5)) * opacities
+    torch.testing.assert_close(update.opacities, expected, rtol=1e-3, atol=0)
+
+
 def test_visible_spares_what_touched_no_pixel() -> None:
     step, model = moment_with(gaussians())
     poison(model, 0.0)  # touched, though the loss does not depend on its opacity

@@ -36,6 +36,13 @@ def test_a_shift_is_found_and_is_unknown_outside_the_image() -> None:
     assert not found.valid[:, -6:].any()
 
 
+def test_white_is_brighter_than_nearly_white() -> None:
+    scene = (textured(70, 120) > 0.5).float()
+    first, second = scene[4:68, 10:106], 0.998 * scene[1:65, 3:99]
+    found = build(DisFlow).flow(first.contiguous(), second.contiguous())
+    assert found.valid[8:-8, 8:-16].float().mean() > 0.9
+
+
 def test_without_a_cycle_check_every_pixel_has_a_vector() -> None:
     first, second = textured(48, 64), textured(48, 64).flip(1).contiguous()
     assert build(DisFlow, max_cycle_error=None).flow(first, second).valid.all()

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from registry import PluginError
 from registry.testing import check
+from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.priors.onnx_flow import OnnxFlow, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs
@@ -89,5 +90,8 @@ def test_graphs_of_another_form_are_refused(tmp_path: Path) -> None:
     path = graphs.flow_of_brightness(tmp_path / "three.onnx", (1.0, 1.0), channels=3)
     with pytest.raises(PluginError, match=r"\[1, 3, 32, 48\], expected \[1, 2, 32, 48\]"):
         flow(path).flow(flat(BRIGHT), flat(DARK))
+    assert not OnnxFlow.settings_for(OnnxModel(path))
+    good = graphs.flow_of_brightness(tmp_path / "two.onnx", (1.0, 1.0))
+    assert OnnxFlow.settings_for(OnnxModel(good))
     with pytest.raises(PluginError, match="no output 'flow'"):
         flow(path, output="flow")

@@ -209,10 +209,6 @@ def nan_pose(folder: Path) -> None:
     change_row(folder, 6, np.nan)
 
 
-def negative_focal(folder: Path) -> None:
-    change_row(folder, 14, -40)
-
-
 def skewed_pose(folder: Path) -> None:
     change_row(folder, 0, 0.5)
 
@@ -252,7 +248,13 @@ def points_of_other_images(folder: Path) -> None:
         (cropped_images, "another shape", "poses_bounds.npy, row "),
         (broken_image, "cannot be read", "photo_01.png"),
         (nan_pose, "nan in column 6", "poses_bounds.npy, row 1"),
-        (negative_focal, "focal length is -40", "poses_bounds.npy, row 1"),
+        (lambda folder: change_row(folder, 4, -12), "height is -12", "poses_bounds.npy, row 1"),
+        (lambda folder: change_row(folder, 9, -16), "width is -16", "poses_bounds.npy, row 1"),
+        (
+            lambda folder: change_row(folder, 14, -40),
+            "focal length is -40",
+            "poses_bounds.npy, row 1",
+        ),
         (skewed_pose, "not a rotation", "poses_bounds.npy, row 1"),
         (bounds_out_of_order, "depth bounds are 99", "poses_bounds.npy, row 1"),
         (pickled_poses, "cannot be read", "poses_bounds.npy"),

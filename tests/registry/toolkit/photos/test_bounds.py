@@ -30,6 +30,14 @@ def test_bounds_from_visible_points() -> None:
     assert (near, far) == pytest.approx((2 / 1.1, 10 * 1.1), rel=0.01)
 
 
+def test_points_on_the_border_of_the_image_count() -> None:
+    camera = Camera(torch.eye(4), 32, 32, 16, 12, 32, 24)
+    depths = torch.arange(2, 11).float().repeat(5)
+    positions = torch.stack([depths / 2, 0 * depths, depths], dim=1)  # u = 32
+    near, far = estimate_bounds([camera], PointCloud(positions, torch.zeros(45, 3)), "")
+    assert (near, far) == pytest.approx((2 / 1.1, 10 * 1.1))
+
+
 def test_bounds_from_the_point_that_cameras_look_at() -> None:
     cameras = [looking_at_origin(0.3, 4.0), looking_at_origin(-0.3, 6.0)]
     assert estimate_bounds(cameras, None, "") == pytest.approx((4 / 5, 6 * 5))

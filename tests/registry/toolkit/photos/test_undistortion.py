@@ -98,3 +98,8 @@ def test_a_camera_file_for_a_smaller_size_fits() -> None:
     assert lens.resized(3200, 2409, "here").fx == 2400  # 4080x3072, rounded at both sizes
     with pytest.raises(SceneError, match="another shape"):
         lens.resized(3200, 2420, "here")
+
+
+def test_each_axis_has_its_own_scale() -> None:
+    small = Lens(101.0, 100.0, 50.5, 20.0, 101, 50).resized(50, 25, "here")
+    assert (small.fx, small.fy, small.cx, small.cy) == pytest.approx((50, 50, 25, 10))

@@ -118,6 +118,15 @@ def test_both_limits_separate_different_depths() -> None:
     assert share(0.11, 0.019) == 0
 
 
+def test_the_reprojection_error_is_a_distance() -> None:
+    """As above, but the second camera moves along both axes: 0.098 pixels in each."""
+    cameras = [camera_at(0.0), camera_at(0.5, 0.5)]
+    depths = [np.full((40, 60), z, dtype=np.float32) for z in (5.0, 5.1)]
+    for pixels, share in ((0.137, 0.0), (0.141, 0.5)):
+        found, _ = consistent_depths(cameras, depths, Limits(pixels, 0.021, 1, BOUNDS))
+        assert share <= (found > 0).mean() <= 2 * share
+
+
 def test_fused_depth_is_the_mean() -> None:
     depths = [np.full((40, 60), z, dtype=np.float32) for z in (5.0, 5.1)]
     found, _ = consistent_depths(
@@ -154,6 +163,14 @@ def test_small_patches_are_removed() -> None:
     expected[8:18, 2:12] = 2.0
     assert np.array_equal(found, expected)
     assert np.array_equal(without_small_patches(depth, min_pixels=9, max_step=0.05), depth)
+
+
+def test_steps_are_relative_to_the_nearer_pixel() -> None:
+    depth = np.full((10, 6), 2.0, dtype=np.float32)
+    depth[:, 3:] = 2.1
+    for max_step, kept in ((0.049, False), (0.051, True)):
+        found = without_small_patches(depth, min_pixels=40, max_step=max_step)
+        assert (found > 0).all() == kept
 
 
 ROW_OF_CAMERAS = [camera_at(x) for x in (0.0, 0.2, 0.4)]

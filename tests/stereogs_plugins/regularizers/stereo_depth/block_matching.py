@@ -78,7 +78,7 @@ def wall(depth: float = DEPTH) -> Gaussians:
     return Gaussians.from_points(positions, colors, scales, torch.full((len(x),), 0.95), 0)
 
 
-CAMERA = Camera(torch.eye(4), FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
+CAMERA = Camera(torch.eye(4), FOCAL, 1.1 * FOCAL, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
 
 
 class Wall:

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from pydantic import ValidationError
 
-from core_rasterizer import Gaussians
+from core_rasterizer import Gaussians, Rendering
 from registry import PluginError
 from stereogs_plugins.regularizers.stereo_depth.baseline import BaselineSettings, choose_baseline
 from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import (
     DEPTH,
     FOCAL,
+    HEIGHT,
     WIDTH,
     Wall,
     wall,
@@ -56,6 +59,15 @@ def test_near_is_the_fifth_percentile_not_the_nearest_pixel() -> None:
     assert disparity(chosen(Wall(both))) == pytest.approx(0.2 * WIDTH, rel=1e-2)
 
 
+def test_the_fifth_percentile_of_a_slanted_wall() -> None:
+    step = Wall().step()
+    depth = torch.linspace(2, 4, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH)
+    slanted = Rendering(step.view.image, 0.9 * depth, torch.full_like(depth, 0.9))
+    step = replace(step, render=lambda *_, **__: slanted)
+    baseline = choose_baseline(BaselineSettings(), step, None)
+    assert FOCAL * baseline / 2.1 == pytest.approx(0.2 * WIDTH, rel=1e-3)
+
+
 def test_without_anything_to_see_the_scenes_bounds_count() -> None:
     behind = wall()
     behind.means[:, 2] = -3
@@ -64,9 +76,10 @@ def test_without_anything_to_see_the_scenes_bounds_count() -> None:
 
 
 def test_world_and_extent_are_taken_as_given() -> None:
-    around = Wall()
-    assert chosen(mode="world", value=0.5) == 0.5
-    assert chosen(mode="extent", value=0.25) == pytest.approx(0.25 * around.scene.extent)
+    step = replace(Wall().step(), extent=3.0)
+    for mode, expected in (("world", 0.2), ("extent", 0.6)):
+        settings = BaselineSettings.model_validate({"mode": mode, "value": 0.2})
+        assert choose_baseline(settings, step, None) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

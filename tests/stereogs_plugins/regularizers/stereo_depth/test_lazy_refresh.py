@@ -19,6 +19,15 @@ def test_an_answer_is_reused_until_the_picture_has_changed() -> None:
     assert (refresh.asked, refresh.reused) == (1, 2)
 
 
+def test_pixels_beyond_the_last_whole_block_count() -> None:
+    refresh = LazyRefresh(0.02)
+    refresh.keep("a", RIGHT, DISPARITY)
+    for rows, columns in ((slice(8, 9), slice(0, 13)), (slice(0, 9), slice(12, 13))):
+        changed = RIGHT.clone()
+        changed[rows, columns] += 0.5
+        assert refresh.find("a", changed) is None
+
+
 def test_slow_changes_add_up() -> None:
     """The comparison is with the picture that was matched, not with the one before."""
     refresh = LazyRefresh(0.02)

@@ -63,6 +63,13 @@ def test_a_fractional_partner_beside_an_unknown_one_does_not_agree() -> None:
     ]
 
 
+def test_a_whole_disparity_beside_an_unknown_one_agrees() -> None:
+    left, right = torch.ones(1, 6), torch.ones(1, 6)
+    right[0, 2] = torch.nan
+    agree = agreeing(known(left), known(right), 1.0)[0].tolist()
+    assert agree == [False, True, True, False, True, True]
+
+
 def test_the_right_order_of_images_agrees_and_the_printed_one_does_not() -> None:
     wall = Wall()
     right = wall.model.render(wall.view.camera.shifted_right(0.5)).rgb.detach().clamp(0, 1)

@@ -181,6 +181,18 @@ def test_nothing_rendered_is_nothing_to_trust() -> None:
     assert around.logged["under test_skipped"] == 1
 
 
+def test_pixels_just_before_the_camera_are_left_out() -> None:
+    """The near bound is 2, so depths below 0.002 have no use."""
+    around = Wall()
+    step = around.step(m=told(everywhere(TRUE_DISPARITY)))
+    depth = everywhere(DEPTH)
+    depth[:12], depth[12:24] = 0.0019, 0.0021
+    close = Rendering(step.view.image, depth, torch.ones_like(depth))
+    step.rendered(lambda: close)
+    stereo_depth(validity_mask=False).loss(step)
+    assert around.logged["under test_valid"] == 0.75
+
+
 def test_the_left_right_check_and_its_ablation() -> None:
     left, right = everywhere(TRUE_DISPARITY), everywhere(TRUE_DISPARITY)
     right[:, : WIDTH // 2] += 3

@@ -16,13 +16,15 @@ from tests.stereogs_plugins.building import build
 
 
 def test_it_compares_with_the_nearest_photograph_where_that_reaches() -> None:
-    step = Bench(open_device(), {}).after_render()
+    logged: dict[str, float] = {}
+    step = replace(Bench(open_device(), {}).after_render(), log=logged.__setitem__)
     loss = build(ForwardWarping, 4).loss(step)
     camera = virtual_views.draw("box", step.scene, torch.Generator().manual_seed(4))
     near = min(step.scene.train, key=lambda v: float((v.camera.center - camera.center).norm()))
     known = step.maps[near.name]
     warped, seen = forward_splat(near.camera, near.image, known.depth, known.valid, camera)
     assert 0 < int(seen.sum()) < seen.numel()
+    assert logged == {"under test_seen": pytest.approx(float(seen.float().mean()))}
     rendered = step.render(camera, gradient=False).rgb
     rendered[~seen], warped[~seen] = 1.0, 1.0
     wanted = photometric_loss(rendered, warped, 0.8)  # MVPGS: 0.2 L1 + 0.8 D-SSIM

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFilter
 
 from registry import SceneError
 from registry.toolkit.photos import Decoder
@@ -94,6 +94,28 @@ def test_copies_are_left_out(tmp_path: Path) -> None:
         "2 (1).jpg": "a copy of 2.jpg",
         "copy.jpg": "a copy of 0.jpg",
         "in/1.jpg": "a copy of 1.jpg",
+    }
+
+
+def test_the_best_of_copies_in_other_formats_and_sizes_stays(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 2)
+    picture = Image.effect_noise((80, 60), 80).resize((320, 240), Image.Resampling.BICUBIC)
+    for name in ("images_2", "web", "runs/demo/renders", "old"):
+        (tmp_path / name).mkdir(parents=True)
+    picture.save(tmp_path / "IMG_1.jpg", quality=90)
+    picture.resize((160, 120)).save(tmp_path / "images_2" / "IMG_1.png")
+    picture.save(tmp_path / "web" / "IMG_1.webp", quality=60)
+    picture.filter(ImageFilter.GaussianBlur(2)).save(tmp_path / "old" / "render.png")
+    picture.save(tmp_path / "runs" / "demo" / "renders" / "IMG_1.png")
+    for name in ("pipeline.yaml", "provenance.json"):
+        (tmp_path / "runs" / "demo" / name).touch()
+    assert PhotosScene.recognizes(tmp_path)
+    assert [photo.name for photo in read_folder(tmp_path).photos] == ["0.jpg", "1.jpg", "IMG_1.jpg"]
+    assert reasons(tmp_path) == {
+        "images_2/IMG_1.png": "a copy of IMG_1.jpg, of 160x120 pixels only",
+        "web/IMG_1.webp": "a copy of IMG_1.jpg",
+        "old/render.png": "a copy of IMG_1.jpg",
+        "runs/demo": "the folder of a training run",
     }
 
 

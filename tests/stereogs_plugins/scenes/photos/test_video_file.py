@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from registry import SceneError
 from registry.testing import check
@@ -79,6 +80,35 @@ def test_files_that_are_no_videos(tmp_path: Path) -> None:
         build(VideoScene, path=text).load()
     with pytest.raises(SceneError, match="does not exist"):
         build(VideoScene, path=tmp_path / "missing.mp4").load()
+
+
+def written(path: Path, frames: list[NDArray[np.uint8]]) -> Path:
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (width, height))
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def moving(count: int) -> list[NDArray[np.uint8]]:
+    """Frames of a camera that moves past a wall."""
+    small = np.random.default_rng(0).integers(0, 256, (30, 40 + count), dtype=np.uint8)
+    wall = np.asarray(cv2.resize(small, None, None, 8, 8, cv2.INTER_CUBIC), dtype=np.uint8)
+    return [np.repeat(wall[:, 8 * k : 8 * k + 320, None], 3, axis=2) for k in range(count)]
+
+
+def test_repeated_frames_are_chosen_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """24 frames a second stored as 30, and a recording whose camera rests."""
+    monkeypatch.setenv("STEREOGS_CACHE", "")
+    frames = moving(8)
+    pulldown = [frame for k, frame in enumerate(frames) for _ in range(2 if k % 4 == 0 else 1)]
+    video_file._extract(written(tmp_path / "a.mp4", pulldown), 20, tmp_path)
+    assert len([*tmp_path.glob("frame_*.png")]) == len(frames)
+    with pytest.raises(SceneError, match="only 2 frames of the video differ"):
+        video_file._extract(
+            written(tmp_path / "b.mp4", frames[:1] * 20 + frames[7:] * 20), 5, tmp_path
+        )
 
 
 def test_frames_are_spaced_by_motion() -> None:
