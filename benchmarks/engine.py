@@ -111,13 +111,14 @@ def stages(
     device: Device,
     repeats: int = 9,
     work: Callable[[Workload], None] = Workload.iteration,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> dict[str, float]:
     """Return milliseconds of each kernel in some work, by default an iteration, measured by the driver."""
     device = device.as_variant(device.variant)
     events: list[tuple[str, cl.Event]] = []
     profiling = cl.command_queue_properties.PROFILING_ENABLE
     device._open = device.context, cl.CommandQueue(device.context, properties=profiling)
-    workload, run = Workload(count, device), Program.run
+    workload, run = Workload(count, device, *size), Program.run
     work(workload)
 
     def kept(program: Program, kernel: str, *size: Any, **arguments: Any) -> None:

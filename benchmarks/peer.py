@@ -1,31 +1,24 @@
-"""Compare the engine's projection with gsplat's in plain torch: `make bench-peer`, which installs gsplat.
+"""Compare the engine with gsplat (Ye et al. 2024), which `make gpu` installs.
 
-gsplat (Ye et al. 2024) has plain torch versions of its CUDA kernels. Projection and colours run without CUDA,
-rasterization does not. Times are compared on the same scene, in one run, forward and backward (the engine's
-kernels also cull and find extents). In double precision `core_rasterizer.reference`, an independent
-implementation, is compared with gsplat.
+gsplat has plain torch versions of its CUDA kernels. Projection and colours run without CUDA; in double
+precision `core_rasterizer.reference`, an independent implementation, is compared with them. Its CUDA kernels
+are timed on a card.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
+from collections.abc import Callable, Sequence
 from importlib import import_module
-from statistics import median
 from typing import Any
 
 import torch
-from rich.console import Console
-from rich.table import Table
 from torch import Tensor
+from torch.profiler import ProfilerActivity, profile
 
-from benchmarks.engine import Workload, stages
-from benchmarks.surfaces import HEIGHT, WIDTH, surfaces
-from benchmarks.yardsticks import all_torch_threads
-from core_rasterizer import Camera, Gaussians, open_device, reference
+from benchmarks.surfaces import surfaces
+from benchmarks.yardsticks import milliseconds
+from core_rasterizer import Camera, Gaussians, reference
 
-COUNTS = (10_000, 126_000)
 Parts = dict[str, Tensor]
 """Results of a projection for all Gaussians: centres, ellipses and colours."""
 
@@ -107,72 +100,67 @@ def _distance(mine: Tensor, other: Tensor) -> float:
     return float((mine - other).abs().max() / mine.abs().max())
 
 
-def peer_ms(peer: Any, count: int, repeats: int) -> tuple[float, float]:
-    """Return median milliseconds of gsplat's projection, forward and backward, torch on all cores."""
-    gaussians, camera = surfaces(count)
-    parameters = leaves(gaussians, torch.float32)
-    times = []
-    with all_torch_threads():
-        for _ in range(repeats + 2):
-            begin = time.perf_counter()
-            made = gsplat_projection(peer, parameters, camera)
-            middle = time.perf_counter()
-            torch.autograd.backward(
-                list(made.values()), [torch.ones_like(value) for value in made.values()]
-            )
-            times.append((middle - begin, time.perf_counter() - middle))
-    forward, backward = (1e3 * median(column) for column in zip(*times[2:], strict=True))
-    return forward, backward
+def cuda_times(count: int, size: Sequence[int], repeats: int) -> dict[str, float]:
+    """Return milliseconds of gsplat's CUDA kernels on the scene of `engine.Workload`, without a loss.
+
+    gsplat is compiled on first use, which takes minutes. Its image has colours only, ours also depth. Adam is
+    torch's fused one.
+
+    Returns:
+        Kernels of the steps "forward", "backward" and "Adam" by torch's profiler, and "wall" of all three
+        with a wait at the end.
+
+    Raises:
+        Exception: of any kind: gsplat, CUDA or a compiler is missing, or a build fails.
+    """
+    gsplat = import_module("gsplat")
+    gaussians, camera = surfaces(count, *size)
+    values = {
+        name: leaf.detach().cuda().requires_grad_()
+        for name, leaf in leaves(gaussians, torch.float32).items()
+    }
+    groups = [{"params": [value]} for value in values.values()]
+    optimizer = torch.optim.Adam(groups, lr=1e-6, eps=1e-15, fused=True)
+    lens = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]
+    pose, lenses = torch.eye(4).cuda()[None], torch.tensor([lens]).cuda()
+    weights = torch.rand(1, size[1], size[0], 3, generator=torch.Generator().manual_seed(0)).cuda()
+
+    def forward() -> Tensor:
+        image: Tensor = gsplat.rasterization(
+            values["means"],
+            values["quaternions"],
+            values["log_scales"].exp(),
+            values["opacity_logits"].sigmoid(),
+            values["sh"],
+            pose,
+            lenses,
+            *size,
+            near_plane=reference.NEAR,
+            sh_degree=3,
+            packed=False,
+        )[0]
+        return image
+
+    def gradients() -> None:
+        optimizer.zero_grad()
+        forward().backward(weights)
+
+    def iteration() -> None:
+        gradients()
+        optimizer.step()
+        torch.cuda.synchronize()
+
+    wall = milliseconds(iteration, repeats)
+    sums = [_kernel_ms(work, repeats) for work in (forward, gradients, iteration)]
+    steps = (sums[0], sums[1] - sums[0], sums[2] - sums[1])
+    return dict(zip(("forward", "backward", "Adam"), steps, strict=True)) | {"wall": wall}
 
 
-def _gradients(workload: Workload) -> None:
-    """Compute gradients, which wait until something reads them."""
-    workload.forward_backward()
-    workload.model.gradient("means")
-
-
-def compare(peer: Any, device: str | None, repeats: int) -> Table:
-    """Return milliseconds of both and their ratio, by number of Gaussians."""
-    table = Table("", *(f"N = {count:,}" for count in COUNTS))
-    rows: dict[str, list[str]] = {}
-    opened = open_device(device)
-    kernels = {}
-    for count in COUNTS:  # before gsplat: torch's threads spin for a while after their work
-        taken = stages(count, opened, repeats, _gradients)
-        kernels[count] = (taken["project"], taken["project_backward"])
-    for count in COUNTS:
-        theirs = peer_ms(peer, count, repeats)
-        for step, their_ms, our_ms in zip(
-            ("forward", "backward"), theirs, kernels[count], strict=True
-        ):
-            rows.setdefault(step, []).append(
-                f"{their_ms:.1f} / {our_ms:.2f} ms = {their_ms / our_ms:.1f}"
-            )
-    for name, cells in rows.items():
-        table.add_row(f"projection and colours, {name}: gsplat's torch / ours", *cells)
-    return table
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--device", help="part of a device's name")
-    parser.add_argument("--repeats", type=int, default=15)
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)  # as `stereogs` does, next to the OpenCL device's threads
-    try:
-        peer = import_module("gsplat.cuda._torch_impl")
-    except ImportError as error:
-        sys.exit(f"peer: gsplat is missing ({error}); `make bench-peer` installs it")
-    console = Console(soft_wrap=True)
-    version = import_module("gsplat.version").__version__
-    device = open_device(arguments.device).name
-    console.print(f"gsplat {version} in plain torch, {device}, {WIDTH}x{HEIGHT}, medians")
-    console.print(compare(peer, arguments.device, arguments.repeats))
-    table = Table("gsplat against core_rasterizer.reference, double precision", "largest / largest")
-    for name, value in disagreement(peer, COUNTS[0]).items():
-        table.add_row(name, f"{value:.1e}")
-    console.print(table)
-
-
-if __name__ == "__main__":
-    main()
+def _kernel_ms(work: Callable[[], object], repeats: int) -> float:
+    """Return milliseconds of CUDA kernels and copies of some work."""
+    with profile(activities=[ProfilerActivity.CUDA], acc_events=True) as measured:
+        for _ in range(repeats):
+            work()
+        torch.cuda.synchronize()
+    found = [one for one in measured.key_averages() if one.device_type.name == "CUDA"]
+    return 1e-3 * sum(float(one.self_device_time_total) for one in found) / repeats

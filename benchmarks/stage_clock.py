@@ -29,17 +29,18 @@ INTERPRETER = "interpreter"
 class StageClock:
     """Seconds of each stage, without the stages inside it.
 
-    CPU seconds are those of all threads while the stage runs.
+    CPU seconds are those of all threads while the stage runs, or by `time.thread_time` of the calling one.
     """
 
-    def __init__(self, born: float) -> None:
-        wall, cpu = time.monotonic(), time.process_time()
+    def __init__(self, born: float, cpu_time: Callable[[], float] | None = None) -> None:
+        self._cpu_time = cpu_time or time.process_time
+        wall, cpu = time.monotonic(), self._cpu_time()
         self.taken: dict[str, list[float]] = {INTERPRETER: [wall - born, cpu]}
         self._open = [REST]
         self._last = (wall, cpu)
 
     def _charge(self) -> None:
-        now = (time.monotonic(), time.process_time())
+        now = (time.monotonic(), self._cpu_time())
         row = self.taken.setdefault(self._open[-1], [0.0, 0.0])
         for index in range(2):
             row[index] += now[index] - self._last[index]

@@ -55,6 +55,19 @@ def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
     return 1e3 * median(times[2:])
 
 
+def python_milliseconds(repeats: int = 15) -> float:
+    """Return CPU milliseconds of a fixed loop of pure Python on this thread, the least of several runs."""
+
+    def loop() -> float:
+        begin, counts = time.thread_time(), dict[int, int]()
+        for number in range(10_000):
+            key = number * number % 97
+            counts[key] = counts.get(key, 0) + 1
+        return time.thread_time() - begin
+
+    return 1e3 * min(loop() for _ in range(repeats))
+
+
 @contextmanager
 def all_torch_threads() -> Iterator[None]:
     """Let torch use every core, for baselines; next to the engine it uses one."""

@@ -1,5 +1,5 @@
-"""Tests of the engine run on every OpenCL device, or on those that STEREOGS_DEVICE names, with both raster
-variants."""
+"""Tests of the engine run on every OpenCL device, or on those that STEREOGS_DEVICE names; on processors with
+both raster variants."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ from collections.abc import Iterator
 import pytest
 
 from core_rasterizer import Device, DeviceError, list_devices
+from core_rasterizer.device import Variant
+from tests.core_rasterizer.quick_device import QuickDevice
+
+VARIANTS: tuple[Variant, ...] = ("cpu", "gpu")
 
 
-def _engines() -> list[Device]:
+def _engines() -> list[QuickDevice]:
     wanted = os.environ.get("STEREOGS_DEVICE", "")
     devices = [device for device in list_devices() if device.describe(0).is_named(wanted)]
-    return [device.as_variant(variant) for device in devices for variant in ("cpu", "gpu")]
+    return [
+        QuickDevice(device, variant, device.shares_memory)
+        for device in devices
+        for variant in VARIANTS
+        if variant == "gpu" or device.kind == "cpu"
+    ]
 
 
 def _label(device: Device) -> str:
@@ -22,9 +31,9 @@ def _label(device: Device) -> str:
 
 
 @pytest.fixture(params=_engines(), ids=_label, scope="session")
-def device(request: pytest.FixtureRequest) -> Device:
+def device(request: pytest.FixtureRequest) -> QuickDevice:
     """A device with one of the two raster variants."""
-    chosen: Device = request.param
+    chosen: QuickDevice = request.param
     return chosen
 
 

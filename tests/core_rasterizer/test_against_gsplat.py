@@ -9,7 +9,7 @@ from tests.host import disagreement
 
 def test_projection_and_its_gradients_are_those_of_gsplat() -> None:
     peer = pytest.importorskip(
-        "gsplat.cuda._torch_impl", reason="`make bench-peer` installs gsplat", exc_type=ImportError
+        "gsplat.cuda._torch_impl", reason="`make gpu` installs gsplat", exc_type=ImportError
     )
     found = disagreement(peer, 300)
     assert set(found) == {
