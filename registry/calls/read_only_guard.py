@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from core_rasterizer import Model, Rendering
 
     from ..contract.scene import DepthMap, Scene, TrainingScene
+    from ..contract.step import Sample
 
 _Mark = tuple[int, bool, object]
 _mark: Callable[[Tensor], _Mark] = attrgetter("_version", "requires_grad", "_backward_hooks")
@@ -95,7 +96,9 @@ class ReadOnlyGuard:
 
 NOTHING = ReadOnlyGuard()
 
-_VIEW_TENSORS = {"image": "photograph", "mask": "mask", "alpha": "alpha", "depth": "depth"}
+_VIEW_TENSORS = {"image": "photograph"} | {
+    name: name for name in ("mask", "alpha", "weights", "depth")
+}
 """Attributes of views, and their names in messages."""
 
 
@@ -114,6 +117,12 @@ def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
 def of_rendering(rendering: Rendering) -> ReadOnlyGuard:
     """Guard a render."""
     return ReadOnlyGuard(renderings=(rendering,))
+
+
+def of_sample(sample: Sample) -> ReadOnlyGuard:
+    """Guard the target and the weights of an iteration."""
+    weights = {} if sample.weights is None else {"the weights": sample.weights}
+    return ReadOnlyGuard({"the target": sample.target, **weights})
 
 
 def of_kinds(kinds: Mapping[str, Tensor]) -> ReadOnlyGuard:

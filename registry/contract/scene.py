@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..errors import PluginError
@@ -91,10 +92,13 @@ class TrainingView:
     Args:
         name: unique within the scene; used as a file name for renders.
         camera: pose and intrinsics; its size is the size of `image`.
-        image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background.
+        image: `[H, W, 3]` float32 in [0, 1], already composited on the scene's background. In training,
+            pixels of weight 0 have the colour of the nearest other pixel.
         mask: `[H, W]` bool, True where pixels count in metrics; None where all do.
         alpha: `[H, W]` float32 in [0, 1], the share of each pixel that the photographed object covers;
             None if the photograph has no alpha.
+        weights: `[H, W]` float32 in [0, 1], how much each pixel counts in training; None where all count
+            fully.
     """
 
     name: str
@@ -102,15 +106,24 @@ class TrainingView:
     image: Tensor
     mask: Tensor | None = None
     alpha: Tensor | None = None
+    weights: Tensor | None = None
 
     @property
     def solid(self) -> Tensor | None:
-        """`[H, W]` bool, pixels that the object covers completely; None if the photograph has no alpha.
+        """`[H, W]` bool, pixels of full weight that the object covers completely; None where all are.
 
         Depth losses should use only these: where the background shines through, blended depth is too small,
         and a loss that increases it pulls Gaussians of the background's colour over the object's edge.
         """
-        return None if self.alpha is None else self.alpha > SOLID
+        covered = None if self.alpha is None else self.alpha > SOLID
+        if covered is None or self.trained is None:
+            return self.trained if covered is None else covered
+        return covered & self.trained
+
+    @property
+    def trained(self) -> Tensor | None:
+        """`[H, W]` bool, pixels of full weight in training; None where all are."""
+        return None if self.weights is None else self.weights == 1
 
     @property
     def depth(self) -> Tensor | None:
@@ -136,8 +149,22 @@ class View(TrainingView):
     depth: Tensor | None = None
 
     def for_training(self) -> TrainingView:
-        """Return the view without true depth."""
-        return TrainingView(self.name, self.camera, self.image, self.mask, self.alpha)
+        """Return the view without true depth, and without the colours of pixels of weight 0."""
+        image = self.image if self.weights is None else self._known_colors
+        return TrainingView(self.name, self.camera, image, self.mask, self.alpha, self.weights)
+
+    @cached_property
+    def _known_colors(self) -> Tensor:
+        """The image; pixels of weight 0 have the colour of the nearest other pixel.
+
+        So no component, blur or reduced copy can learn what was excluded.
+        """
+        from scipy.ndimage import distance_transform_edt  # type: ignore[attr-defined]
+
+        assert self.weights is not None
+        excluded = (self.weights == 0).numpy()
+        row, column = distance_transform_edt(excluded, return_distances=False, return_indices=True)
+        return self.image[row, column]
 
 
 @dataclass(frozen=True, eq=False)

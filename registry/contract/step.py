@@ -26,6 +26,9 @@ class Sample:
         camera: camera of the render: the view's, unless a sampler refines it.
         target: `[H, W, 3]` float32 in [0, 1] of the camera's size, compared with the render: the view's
             image, unless a sampler changes it.
+        weights: `[H, W]` float32 in [0, 1] of the target's size, weight of each pixel in the photometric
+            loss, its gradient, and in losses that compare with the target; None: 1. A sampler that changes
+            the view or the size of the target changes them as well.
         background: colour behind the render, three numbers.
         sh_degree: spherical-harmonic bands in use; a fraction is the weight of the next band.
         smoothing: `[N]` standard deviations in world units, >= 0, of the 3D smoothing filter of each
@@ -38,6 +41,12 @@ class Sample:
     background: tuple[float, float, float]
     sh_degree: float
     smoothing: Tensor | None = None
+    weights: Tensor | None = None
+
+    @property
+    def trained(self) -> Tensor | None:
+        """`[H, W]` bool, pixels of full weight; None where all are."""
+        return None if self.weights is None else self.weights == 1
 
 
 class Render(Protocol):

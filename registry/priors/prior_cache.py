@@ -52,6 +52,7 @@ def cached(
         fingerprint,
         *arguments,
         *(part for view in views for part in (view.image, view.mask, view.alpha)),
+        *(view.weights for view in views if view.weights is not None),
         *(part for view in views for part in (view.camera.world_to_camera, view.camera.intrinsics)),
     )
     name = prior.context.name

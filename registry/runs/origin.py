@@ -61,7 +61,7 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
         camera = [getattr(view.camera, field.name) for field in fields(view.camera)]
         digests[f"the photograph of {view.name}"] = _digest(view.image)
         digests[f"the camera of {view.name}"] = _digest(*camera)
-        for part in ("mask", "alpha", "depth"):
+        for part in ("mask", "alpha", "weights", "depth"):
             if getattr(view, part) is not None:
                 digests[f"the {part} of {view.name}"] = _digest(getattr(view, part))
     for item in pipeline:

@@ -127,11 +127,13 @@ def step_of(
     known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
     extent = known.extent if extent is None else extent
     view = known.train[0]
-    sample = Sample(view, view.camera, view.image, known.background, model.sh_degree)
+    degree, weights = model.sh_degree, view.weights
+    sample = Sample(view, view.camera, view.image, known.background, degree, weights=weights)
     if shrink > 1:
         target = view.image[::shrink, ::shrink].contiguous()
         camera = view.camera.resized(target.shape[1], target.shape[0])
-        sample = replace(sample, camera=camera, target=target)
+        weights = None if weights is None else weights[::shrink, ::shrink]
+        sample = replace(sample, camera=camera, target=target, weights=weights)
     step = Step(
         iteration=iteration,
         iterations=iterations,

@@ -28,6 +28,7 @@ from ..calls.read_only_guard import (
     of_kinds,
     of_maps,
     of_rendering,
+    of_sample,
     of_scene,
 )
 from ..contract.checks.answers import check_moves
@@ -117,7 +118,9 @@ class Field:
         vars(self).pop("_rendering", None)  # the next render uses its memory
         self.logged = {}
         degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
-        sample = Sample(view, view.camera, view.image, scene.background, degree)
+        sample = Sample(
+            view, view.camera, view.image, scene.background, degree, weights=view.weights
+        )
         self.guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
         self._step = Step(
             iteration=iteration,
@@ -180,7 +183,7 @@ class Field:
             collect_absolute=any(policy.absolute_gradients for policy in growing),
         )
         self._changed_images = self._rendering.watch()
-        self.guard += of_rendering(self._rendering) + ReadOnlyGuard({"the target": sample.target})
+        self.guard += of_rendering(self._rendering) + of_sample(sample)
         step.rendered(lambda: self._rendering)
 
     def differentiate(self, fields: Sequence[Field]) -> float:

@@ -55,13 +55,19 @@ def photometric_term(
 ) -> Term:
     """Return L1 and D-SSIM between colours, or a render, and the target of the iteration.
 
+    With weights w the target is x + w (target - x), x being the colours without gradient, and the gradient
+    is multiplied by w: pixels of weight 0 add nothing, not even through the windows of SSIM around them.
+
     Raises:
         RunError: the colours are not finite.
     """
+    target, weights = step.sample.target, step.sample.weights
+    if weights is not None:
+        colors = shown if isinstance(shown, Tensor) else shown.rgb
+        fixed, share = colors.detach(), weights[..., None]
+        shown, target = fixed.lerp(colors, share), fixed.lerp(target, share)
     try:
-        loss = model.engine.loss(
-            shown, step.sample.target, settings.ssim_weight, settings.l1_weight
-        )
+        loss = model.engine.loss(shown, target, settings.ssim_weight, settings.l1_weight)
     except ExplainedError as error:
         raise RunError(
             error.what,

@@ -23,7 +23,7 @@ class ColmapSettings(Settings):
 class ColmapExporter(Exporter[ColmapSettings]):
     """Writes colmap/images and colmap/sparse/0: PNG images, poses, intrinsics and the sparse points.
 
-    sparse/0/test.txt lists the test views, in the format of the 3DGS code.
+    sparse/0/test.txt lists the test views, in the format of the 3DGS code. Masks are in colmap/masks.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -35,6 +35,10 @@ class ColmapExporter(Exporter[ColmapSettings]):
         for view in (*scene.train, *scene.test):
             written.append(images / f"{view.name}.png")
             save_png(view.image, written[-1])
+            if view.trained is not None:
+                written.append(folder / "colmap" / "masks" / f"{view.name}.png.png")
+                written[-1].parent.mkdir(exist_ok=True)
+                save_png(255 * view.trained.byte(), written[-1])
         reconstruction = _reconstruction(scene)
         if self.settings.text:
             reconstruction.write_text(sparse)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class TransformsExporter(Exporter[Settings]):
     """Writes transforms/transforms.json and transforms/images: PNG images, poses and intrinsics.
 
-    `train_filenames` and `test_filenames` contain the split.
+    `train_filenames` and `test_filenames` contain the split, and `mask_path` the masks.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -27,18 +27,21 @@ class TransformsExporter(Exporter[Settings]):
 
         place = folder / "transforms"
         (place / "images").mkdir(parents=True, exist_ok=True)
-        written = []
+        written, frames = [], []
         for view in (*scene.train, *scene.test):
             written.append(place / _file(view))
             save_png(view.image, written[-1])
+            frames.append({"file_path": _file(view), **_described(view.camera)})
+            if view.trained is not None:
+                frames[-1]["mask_path"] = f"masks/{view.name}.png"
+                written.append(place / frames[-1]["mask_path"])
+                written[-1].parent.mkdir(exist_ok=True)
+                save_png(255 * view.trained.byte(), written[-1])
         content = {
             "camera_model": "OPENCV",
             "train_filenames": [_file(view) for view in scene.train],
             "test_filenames": [_file(view) for view in scene.test],
-            "frames": [
-                {"file_path": _file(view), **_described(view.camera)}
-                for view in (*scene.train, *scene.test)
-            ],
+            "frames": frames,
         }
         path = place / "transforms.json"
         write_text(path, json.dumps(content, indent=1) + "\n")

@@ -123,6 +123,8 @@ class FlowEpipolar(Initializer[FlowEpipolarSettings]):
         kept = flow.valid & ((there >= 0) & (there <= size)).all(dim=2)
         kept &= (found.distance < self.settings.max_distance).reshape(kept.shape)
         kept &= within_bounds(found.depth, scene).reshape(kept.shape)
+        if view.trained is not None:
+            kept &= view.trained
         depth = found.depth.reshape(kept.shape).where(kept, 0.0)
         return depth, found.sensitivity.reshape(kept.shape).nan_to_num(torch.inf)
 
@@ -216,10 +218,13 @@ class MatchedPoints(Initializer[MatchedPointsSettings]):
         found = intersect(first.camera, second.camera, matches.first, matches.second)
         kept = (found.distance < self.settings.max_distance) & within_bounds(found.depth, scene)
         kept &= matches.scores >= self.settings.min_score
-        u, v = matches.first[kept].unbind(dim=1)
         height, width = first.image.shape[:2]
-        colors = first.image[v.long().clamp(max=height - 1), u.long().clamp(max=width - 1)]
-        return first.camera.unproject(u, v, found.depth[kept]), colors
+        u, v = matches.first.unbind(dim=1)
+        row, column = v.long().clamp(max=height - 1), u.long().clamp(max=width - 1)
+        if first.trained is not None:
+            kept &= first.trained[row, column]
+        colors = first.image[row[kept], column[kept]]
+        return first.camera.unproject(u[kept], v[kept], found.depth[kept]), colors
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ class DistantL1Settings(Settings):
 
 
 class DistantL1(Regularizer[DistantL1Settings]):
-    """mean over all pixels and channels of |render - target| at far pixels, 0 elsewhere.
+    """mean over all pixels and channels of |render - target| at far pixels that train, 0 elsewhere.
 
     The rendered colours are clamped to [0, 1], as in the authors' code.
     """
@@ -49,6 +49,8 @@ class DistantL1(Regularizer[DistantL1Settings]):
             self._far[view.name] = farthest(prior.inverse_depth_of(view), self.settings.share)
         difference = (step.rendering.rgb.clamp(0, 1) - step.sample.target).abs()
         far = at_size(self._far[view.name], *difference.shape[:2])
+        if step.sample.weights is not None:
+            far = far * step.sample.weights
         return (difference * far[:, :, None]).mean()
 
 

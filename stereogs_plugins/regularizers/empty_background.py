@@ -57,13 +57,14 @@ class EmptyBackground(Regularizer[EmptyBackgroundSettings]):
         return (alpha * share).mean()
 
     def _background(self, view: TrainingView) -> Tensor | None:
-        """Return the background share of each pixel, `[H, W]`, or None without background."""
+        """Return each pixel's background share times its weight, `[H, W]`; None without background."""
         if view.alpha is not None:
             share = 1 - view.alpha
         elif self.settings.dark is not None:
             share = dark_background(view.image, self.settings.dark).float()
         else:
             return None
+        share = share if view.weights is None else share * view.weights
         return share if share.any() else None
 
 

@@ -39,7 +39,7 @@ class VirtualStereoSettings(Settings):
 class VirtualStereo(Regularizer[VirtualStereoSettings]):
     """mean |warped - photograph| over all pixels, 0 where the warp is undefined, plus smoothness.
 
-    Pixels whose disparity would exceed the image width are ignored.
+    Pixels whose disparity would exceed the image width, or that do not train, are ignored.
     """
 
     host_defaults = HostDefaults(start=Percent(66.67))
@@ -54,6 +54,8 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         moves = -sample.camera.fx * shift
         depth, seen = self._depth(step)
         seen = seen & (depth.detach() * sample.camera.width > abs(moves))
+        if sample.trained is not None:
+            seen = seen & sample.trained
         disparity = moves / depth.where(seen, torch.inf)
         shifted = step.render(sample.camera.shifted_right(shift)).rgb
         warped, inside = moved_back(shifted, disparity)

@@ -13,14 +13,16 @@ class IndependentViews(Sampler[Settings]):
     """A training view drawn uniformly and independently in each iteration."""
 
     def sample(self, step: Step, sample: Sample) -> Sample:
-        """Return the sample with another view, its camera and its image."""
+        """Return the sample with another view, its camera, image and weights."""
         from dataclasses import replace
 
         import torch
 
         views = step.scene.train
         view = views[int(torch.randint(len(views), (), generator=self.generator))]
-        return replace(sample, view=view, camera=view.camera, target=view.image)
+        return replace(
+            sample, view=view, camera=view.camera, target=view.image, weights=view.weights
+        )
 
 
 @hookimpl

@@ -37,7 +37,7 @@ class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
         self._known: dict[str, tuple[Camera, Tensor]] = {}
 
     def sample(self, step: Step, sample: Sample) -> Sample:
-        """Return the sample with a smaller camera and target, `[ceil(H / shrink), ceil(W / shrink), 3]`."""
+        """Return the sample with target and weights of `[ceil(H / shrink), ceil(W / shrink)]` pixels."""
         camera, target = sample.camera, sample.target
         if camera is sample.view.camera and target is sample.view.image:
             if sample.view.name not in self._known:
@@ -45,16 +45,24 @@ class ResolutionSchedule(Sampler[ResolutionScheduleSettings]):
             camera, target = self._known[sample.view.name]
         else:  # changed by another sampler, maybe differently in each iteration
             camera, target = self._smaller(camera, target)
-        return replace(sample, camera=camera, target=target)
+        weights = sample.weights
+        if weights is not None:
+            weights = _means(weights[..., None], camera)[..., 0]
+        return replace(sample, camera=camera, target=target, weights=weights)
 
     def _smaller(self, camera: Camera, image: Tensor) -> tuple[Camera, Tensor]:
-        from torch.nn.functional import interpolate
-
         shrink = self.settings.shrink
         smaller = camera.resized(-(-camera.width // shrink), -(-camera.height // shrink))
-        channels = image.permute(2, 0, 1)[None]
-        means = interpolate(channels, size=(smaller.height, smaller.width), mode="area")
-        return smaller, means[0].permute(1, 2, 0).contiguous()
+        return smaller, _means(image, smaller)
+
+
+def _means(image: Tensor, camera: Camera) -> Tensor:
+    """Reduce an image `[H, W, C]` to a camera's size; each pixel is the mean of those that it covers."""
+    from torch.nn.functional import interpolate
+
+    channels = image.permute(2, 0, 1)[None]
+    means = interpolate(channels, size=(camera.height, camera.width), mode="area")
+    return means[0].permute(1, 2, 0).contiguous()
 
 
 @hookimpl

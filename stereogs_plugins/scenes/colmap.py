@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -20,6 +21,7 @@ from registry.toolkit.photos import (
     decoding,
     estimate_bounds,
     inside,
+    masks_beside,
     read_colmap_model,
     usable_photos,
     view_names,
@@ -42,6 +44,9 @@ class ColmapSettings(SplitSettings, ImageSourceSettings):
     null: no limit."""
     points: bool = True
     """Use those points of the model that the training views see."""
+    masks: bool = True
+    """Exclude pixels where a mask is black from training and scores. The mask of images_2/a.jpg is a.jpg.png
+    or a.png in masks_2 or masks."""
 
 
 class ColmapScene(SceneLoader[ColmapSettings]):
@@ -68,7 +73,8 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         settings = self.settings
         folder = settings.path.expanduser()
         model = read_colmap_model(self._model_folder(folder), _FIX)
-        all_photos = _photos(model, self._image_folder(folder, model.folder))
+        images = self._image_folder(folder, model.folder)
+        all_photos = _photos(model, images, settings.masks)
         kept = usable_photos(all_photos, str(model.folder))
         names = [model.images[index][1].name for index in kept]
         train, test, rule = self._split(names, model.folder)
@@ -124,9 +130,12 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         return self.settings.chosen(pool, str(listed)), test, "the file's, evenly spaced"
 
 
-def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
+def _photos(model: ColmapModel, images: Path, with_masks: bool) -> list[PosedPhoto]:
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
     names = view_names([image.name.replace("\\", "/") for _, image in model.images])
+    masks: Sequence[Path | None] = [None] * len(names)
+    if with_masks:
+        masks = masks_beside(images, [image.name for _, image in model.images])
     return [
         PosedPhoto(
             name=name,
@@ -134,8 +143,10 @@ def _photos(model: ColmapModel, images: Path) -> list[PosedPhoto]:
             world_to_camera=image.world_to_camera,
             lens=model.lens(image),
             where=where,
+            mask=mask,
+            mask_trains=True,
         )
-        for (_, image), name, where in zip(model.images, names, places, strict=True)
+        for (_, image), name, where, mask in zip(model.images, names, places, masks, strict=True)
     ]
 
 

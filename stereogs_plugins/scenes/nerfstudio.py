@@ -56,6 +56,8 @@ class NerfstudioSettings(SplitSettings):
     points: bool = False
     """Use the points of `ply_file_path`. They include points seen only by test views, so scores are not
     comparable with other methods."""
+    masks: bool = True
+    """Exclude pixels where the image of `mask_path` is black from training and scores."""
 
 
 class NerfstudioScene(SceneLoader[NerfstudioSettings]):
@@ -81,7 +83,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         transforms = read_document(path, _Transforms, _FIX)
         if not transforms.frames:
             raise SceneError("the camera file has no frame", where=str(path), fix=_FIX)
-        all_photos = _photos(folder, path, transforms)
+        all_photos = _photos(folder, path, transforms, settings.masks)
         kept = usable_photos(all_photos, str(path))
         names = [all_photos[index].path.relative_to(folder).as_posix() for index in kept]
         train, test, rule = self._split(transforms, names, folder, str(path))
@@ -242,7 +244,9 @@ def _relative(folder: Path, name: str, where: str) -> str:
     return inside(folder, name, where).relative_to(folder).as_posix()
 
 
-def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhoto]:
+def _photos(
+    folder: Path, path: Path, transforms: _Transforms, with_masks: bool
+) -> list[PosedPhoto]:
     """Return the photographs of all frames, sorted by file name."""
     relative = [
         _relative(folder, frame.file_path, f"{path}, frame {index}")
@@ -254,6 +258,7 @@ def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhot
     for index, name in zip(order, names, strict=True):
         frame, where = transforms.frames[index], f"{path}, frame {index}"
         file = folder / relative[index]
+        mask = frame.mask_path if with_masks else None
         photos.append(
             PosedPhoto(
                 name=name,
@@ -261,7 +266,8 @@ def _photos(folder: Path, path: Path, transforms: _Transforms) -> list[PosedPhot
                 world_to_camera=pose_from_opengl(frame.transform_matrix, where),
                 lens=_lens_of(frame, transforms, file, where),
                 where=where,
-                mask=inside(folder, frame.mask_path, where) if frame.mask_path else None,
+                mask=inside(folder, mask, where) if mask else None,
+                mask_trains=True,
             )
         )
     return photos

@@ -92,6 +92,22 @@ def check_sample(sample: Any, step: Step, given: Sample) -> Sample:
     low, high = target.aminmax()  # one pass; a NaN becomes both and compares as false
     if not 0 <= low <= high <= 1:
         raise PluginError("the target has values outside [0, 1] or not finite")
+    if checked.weights is not None:
+        weights = _tensor("the weights", checked.weights)
+        if weights.dtype != torch.float32 or weights.shape != target.shape[:2]:
+            raise PluginError(
+                f"the weights are {weights.dtype} {tuple(weights.shape)}, the target {expected}",
+                fix="change the size of `Sample.weights` with the target's",
+            )
+        low, high = weights.aminmax()
+        if not 0 <= low <= high <= 1:
+            raise PluginError("the weights have values outside [0, 1] or not finite")
+    kept = checked.weights is given.weights
+    if checked.view is not given.view and kept and checked.weights is not checked.view.weights:
+        raise PluginError(
+            "the sample has another view, but the weights of the one before",
+            fix="replace both: `weights=view.weights`",
+        )
     numbers = [float(_instance("the background", n, Real, "numbers")) for n in checked.background]
     if len(numbers) != 3 or not all(0 <= number <= 1 for number in numbers):
         raise PluginError(f"the background is {numbers}, expected three numbers in [0, 1]")

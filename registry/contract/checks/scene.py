@@ -47,8 +47,8 @@ def validate(scene: Scene) -> Scene:
 
     Raises:
         SceneError: no training view; a repeated or unsafe name; views with the same pose; a rotation
-            that is not orthonormal (to 1e-4); a focal length or position out of range; an image, mask,
-            alpha or depth of another size than the camera's, or with values out of range; a mask without
+            that is not orthonormal (to 1e-4); a focal length or position out of range; an image, mask, alpha,
+            weights or depth of another size than the camera's, or with values out of range; a mask without
             pixels; points that are not finite or have colours outside [0, 1]; bounds out of order; a fact
             with a repeated or unsafe name or a value that is not finite.
     """
@@ -199,9 +199,11 @@ def _map_faults(view: View) -> Faults:
     """Faults of the mask, the alpha and the depth, and of the types of all."""
     import torch
 
-    mask, alpha, depth = view.mask, view.alpha, view.depth
+    mask, alpha, weights, depth = view.mask, view.alpha, view.weights, view.depth
     size = tuple(view.image.shape[:2])
-    dtypes = {"mask": torch.bool} | dict.fromkeys(("image", "alpha", "depth"), torch.float32)
+    dtypes = {"mask": torch.bool} | dict.fromkeys(
+        ("image", "alpha", "weights", "depth"), torch.float32
+    )
     for name, dtype in dtypes.items():
         array: Tensor | None = getattr(view, name)
         if array is not None and name != "image" and array.shape != size:
@@ -210,6 +212,8 @@ def _map_faults(view: View) -> Faults:
             yield f"the {name} is {array.dtype}, not {dtype}", f"convert it with .to({dtype})"
     if mask is not None and not mask.any():
         yield "the mask leaves no pixel to measure", "remove the mask or the view"
+    if weights is not None and not (_in_unit_range(weights) and weights.any()):
+        yield "the weights are outside [0, 1], not finite or all 0", "remove them or the view"
     if alpha is not None and not _in_unit_range(alpha):
         yield "the alpha has values outside [0, 1] or not finite", "divide 8-bit values by 255"
     if depth is not None and not (torch.isfinite(depth).all() and depth.min() >= 0):

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         PosedPhoto as PosedPhoto,
         usable_photos as usable_photos,
     )
+    from .masks import masks_beside as masks_beside
     from .reading import (
         IMAGE_SUFFIXES as IMAGE_SUFFIXES,
         Finite as Finite,

@@ -49,15 +49,13 @@ UNCHECKED_PIXELS = 1 << 24
 """17 megapixels; images up to this size may have any compression ratio."""
 PIXELS_PER_BYTE = 32
 """Pixels per byte of a larger file, at most; strongly compressed JPEGs have 16."""
-_LOSSY = ("JPEG", "WEBP")
-_MASK_FIX = "restore the mask, or remove it from the camera file"
 IMAGE_FIX = "restore the photograph, or save it again as an 8-bit PNG or JPEG"
 HEIF_SUFFIXES = (".heic", ".heif")
 """Suffixes of HEIC files, the format of phones, in lower case; see `read_heif`."""
 _ORIENTATION = 0x0112
 _QUARTER_TURNS = (5, 6, 7, 8)
 """Values of this EXIF tag that exchange width and height."""
-_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 _CACHED = "image.png"
 
 
@@ -189,7 +187,7 @@ class Decoder:
         with open_8_bit(path) as file:
             if not file.has_transparency_data:
                 return None
-            return self._decoded(file, path, _alpha, "alpha")
+            return self._decoded(file, path, alpha_channel, "alpha")
 
     def _decoded(
         self,
@@ -225,7 +223,8 @@ class Decoder:
         return below.convert("RGB")
 
 
-def _alpha(file: Image.Image) -> Image.Image:
+def alpha_channel(file: Image.Image) -> Image.Image:
+    """Return the opacity of an image with transparency, mode "L"."""
     return file.convert("RGBA").getchannel("A")
 
 
@@ -253,60 +252,13 @@ def _cached(path: Path, treatment: str, compute: Callable[[], Image.Image]) -> I
 def open_8_bit(path: Path, what: str = "the image") -> Iterator[Image.Image]:
     """Open an image file as `open_image` does; also refuse more than 8 bits per channel."""
     with open_image(path, what) as file:
-        if file.mode not in _MODES:
+        if file.mode not in EIGHT_BIT_MODES:
             raise SceneError(
                 f"{what} has pixels of mode {file.mode!r}, not 8 bits per channel",
                 where=str(path),
                 fix=IMAGE_FIX,
             )
         yield file
-
-
-def read_mask(path: Path, size: Size, *, white_only: bool = False) -> Pixels:
-    """Return a mask, `[H, W]` uint8, 255 where pixels count; between where the resized mask has an edge.
-
-    A pixel counts if it is not black, whatever the largest value is: 0 and 1, 0 and 255, labels, colours and
-    16 bits. A lossy file blurs black, so there a pixel counts from half of the largest value on. In a file
-    with transparency that varies, opaque pixels count.
-
-    Args:
-        white_only: Only pure white counts, as in DTU's masks.
-
-    Raises:
-        SceneError: See `open_image`; also if the mask has another shape than `size`.
-    """
-    import numpy as np
-    from PIL import Image
-
-    with open_image(path, "the mask", _MASK_FIX) as file:
-        width, height = file.size
-        if abs(width * size[1] / height - size[0]) > max(1.0, size[0] / width):
-            raise SceneError(
-                f"the mask is {width}x{height}, its photograph {size[0]}x{size[1]}, which has another shape",
-                where=str(path),
-                fix="make the mask from this photograph, in the same orientation",
-            )
-        if white_only:
-            marked = file.convert("L")
-        else:
-            values = _mask_values(file)
-            least = values.max() / 2 if file.format in _LOSSY else 0
-            marked = Image.fromarray(np.where(values > least, 255, 0).astype(np.uint8))
-        same = marked.size == size
-        return np.asarray(marked if same else marked.resize(size, Image.Resampling.BICUBIC))
-
-
-def _mask_values(file: Image.Image) -> NDArray[np.float64]:
-    """Return `[H, W]`: transparency if it varies, else the largest channel."""
-    import numpy as np
-
-    if file.has_transparency_data:
-        alpha = np.asarray(_alpha(file), dtype=np.float64)
-        if alpha.min() < alpha.max():
-            return alpha
-    colors = file.convert("RGB") if file.mode in (*_MODES, "HSV", "LAB") else file
-    values = np.asarray(colors, dtype=np.float64)
-    return values if values.ndim == 2 else values.max(axis=2)
 
 
 def stored_size(path: Path, *, upright: bool = False) -> Size:

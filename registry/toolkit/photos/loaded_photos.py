@@ -11,8 +11,9 @@ from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ..progress.parallel import in_parallel
 from .copies import Impression
-from .decoder import Decoder, read_mask, stored_size
+from .decoder import Decoder, stored_size
 from .lens import Lens, import_pycolmap, undistort
+from .masks import points_in_training, read_mask, report_masks
 from .reading import existing_image, find_image
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class PosedPhoto:
         where: Location in the camera file, for error messages.
         mask: Path of an image that marks the pixels that count in metrics, see `read_mask`.
         white_mask: Only pure white counts in it.
+        mask_trains: Only the marked pixels train, too.
     """
 
     name: str
@@ -59,6 +61,7 @@ class PosedPhoto:
     where: str
     mask: Path | None = None
     white_mask: bool = False
+    mask_trains: bool = False
 
 
 def usable_photos(photos: Sequence[PosedPhoto], where: str) -> list[int]:
@@ -132,7 +135,8 @@ def _impression(view: View) -> Impression:
     return Impression.of(Image.fromarray(to_bytes(view.image)))
 
 
-def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
+def _load_view(photo: PosedPhoto, decoder: Decoder) -> tuple[View, str]:
+    """Return the view, and the rule of its mask in words."""
     import numpy as np
     import torch
 
@@ -142,23 +146,21 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> View:
     height, width = pixels.shape[:2]
     distorted = photo.lens.resized(width, height, photo.where)
     lens, pixels = _straight(distorted, pixels, photo.where)
-    mask = None
+    mask, rule = None, ""
     if photo.mask is not None:
-        _, white = _straight(
-            distorted,
-            read_mask(photo.mask, (width, height), white_only=photo.white_mask),
-            photo.where,
-        )
-        mask = torch.from_numpy(white == 255)
+        marked, rule = read_mask(photo.mask, (width, height), white_only=photo.white_mask)
+        mask = torch.from_numpy(_straight(distorted, marked, photo.where)[1] == 255)
     if alpha is not None:
         _, alpha = _straight(distorted, alpha, photo.where)
-    return View(
+    view = View(
         name=photo.name,
         camera=lens.camera(photo.world_to_camera, photo.where),
         image=torch.from_numpy(pixels.astype(np.float32) / 255),
         mask=mask,
         alpha=None if alpha is None else torch.from_numpy(alpha.astype(np.float32) / 255),
+        weights=mask.float() if mask is not None and photo.mask_trains else None,
     )
+    return view, rule
 
 
 def _decoder_of(photo: PosedPhoto, decoder: Decoder) -> Decoder:
@@ -214,7 +216,9 @@ class LoadedPhotos:
         """
         if not all(photo.lens.is_pinhole for photo in photos):
             import_pycolmap()  # here, because threads cannot restore the handler of SIGTERM
-        views = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
+        loaded = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
+        views = [view for view, _ in loaded]
+        report_masks([photo.mask for photo in photos], views, [rule for _, rule in loaded])
         _warn_of_copies(views[: len(train)], views[len(train) :])
         return cls(photos, views, decoder, train, test)
 
@@ -271,6 +275,8 @@ class LoadedPhotos:
             SceneError: `validate` refuses the scene.
         """
         count, first = len(self.train), self.photos[0]
+        train = tuple(self.views[:count])
+        masked = any(view.weights is not None for view in self.views)
         common = (
             Fact("format", format_name),
             Fact("source", first.path.parent.name),
@@ -278,12 +284,12 @@ class LoadedPhotos:
         )
         scene = Scene(
             name=folder.resolve().name,
-            train=tuple(self.views[:count]),
+            train=train,
             test=tuple(self.views[count:]),
             bounds=bounds,
-            points=points,
+            points=points_in_training(points, train),
             background=self.decoder.background,
-            facts=(*common, *facts),
+            facts=(*common, *facts, *[Fact("masks", "training and scores")][: int(masked)]),
         )
         return validate(scene)
 

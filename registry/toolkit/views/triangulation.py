@@ -167,6 +167,14 @@ def _extract(colmap: Any, identity: int, view: TrainingView) -> _Features:
     )
     camera.params = [lens.fx, lens.fy, lens.cx, lens.cy]
     pixels = colmap.keypoints_to_matrix(keypoints)[:, :2].astype(np.float64)
+    if view.trained is not None:
+        column, row = pixels.astype(int).clip(0, [lens.width - 1, lens.height - 1]).T
+        kept = view.trained.numpy()[row, column]
+        pixels = pixels[kept]
+        keypoints = colmap.FeatureKeypoints(
+            [k for k, is_kept in zip(keypoints, kept, strict=True) if is_kept]
+        )
+        descriptors = colmap.FeatureDescriptors(descriptors.type, descriptors.data[kept])
     return _Features((keypoints, descriptors, camera), pixels)
 
 

@@ -87,6 +87,8 @@ def _seen(points: Tensor, ray: Tensor, surface: Tensor, view: TrainingView, dept
     inside = view.camera.contains(u, v, z)
     row = v.clamp(0, view.camera.height - 1).nan_to_num(0).long()
     column = u.clamp(0, view.camera.width - 1).nan_to_num(0).long()
+    if view.trained is not None:
+        inside &= view.trained[row, column]
     there = depth[row, column]
     same = torch.where(surface, (there - z).abs() <= SAME_SURFACE * z, there.isinf())
     own = normalize(points - view.camera.center.float(), dim=2)

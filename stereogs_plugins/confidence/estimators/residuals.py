@@ -32,7 +32,10 @@ class Residuals:
         errors = []
         for view in scene.train:
             rgb = trained.model.render(view.camera, background=scene.background).rgb
-            errors.append((view.camera, (rgb - view.image).abs().mean(dim=2)))
+            error = (rgb - view.image).abs().mean(dim=2)
+            if view.trained is not None:  # excluded pixels tell nothing
+                error = error.where(view.trained, error[view.trained].mean())
+            errors.append((view.camera, error))
         sums, light = gathered(trained.model, errors)
         mean = torch.cat([error.flatten() for _, error in errors]).mean()
         error = (sums.clamp(min=0) + _MIN_LIGHT * mean) / (light + _MIN_LIGHT)

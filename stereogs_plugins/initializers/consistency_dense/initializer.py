@@ -101,8 +101,15 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         settings, depths_by_prior = self.settings, []
         for name in self._prior_names(scene, areas):
             maps = MultiViewDepthPrior.choose(priors, name).depths(scene.train, scene.bounds)
+            valid = [
+                m.valid if view.trained is None else m.valid & view.trained
+                for m, view in zip(maps, scene.train, strict=True)
+            ]
             depths_by_prior.append(
-                [np.where(m.valid.numpy(), m.depth.numpy(), np.float32(0)) for m in maps]
+                [
+                    np.where(known.numpy(), m.depth.numpy(), np.float32(0))
+                    for m, known in zip(maps, valid, strict=True)
+                ]
             )
         limits = Limits(
             settings.max_reprojection_error, settings.max_depth_error, min_consistent, scene.bounds

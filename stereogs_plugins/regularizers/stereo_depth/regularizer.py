@@ -126,6 +126,8 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
         from .left_right_check import agreeing
 
         trusted = left.valid & (left.values >= MIN_DISPARITY)
+        if step.view.trained is not None:
+            trusted &= step.view.trained
         agree = agreeing(left, right, self.settings.tau)
         self._log(step, "occluded", 1 - float(agree.float().mean()))
         if self.settings.validity_mask:

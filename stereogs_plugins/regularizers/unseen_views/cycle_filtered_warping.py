@@ -61,6 +61,9 @@ class CycleFilteredWarping(Regularizer[CycleFilteredWarpingSettings]):
         step.log(f"{self.context.name}_counted", float(counts.any(dim=0).float().mean()))
         differences = []
         for view, chosen in zip(views, counts, strict=True):
+            if view.weights is not None:
+                at = view.camera.project(points)
+                chosen = chosen & (look_up(view.weights[..., None], *at[:2])[0][..., 0] == 1)
             u, v, _ = view.camera.project(points[chosen])
             colors, _ = look_up(view.image, u, v)
             differences.append((rendering.rgb[chosen] - colors).abs())

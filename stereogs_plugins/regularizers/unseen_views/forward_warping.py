@@ -54,7 +54,8 @@ class ForwardWarping(Regularizer[ForwardWarpingSettings]):
         camera = virtual_views.draw(self.settings.views, step.scene, self.generator)
         view = _nearest(step, camera)
         known = step.maps[view.name]
-        warped, seen = forward_splat(view.camera, view.image, known.depth, known.valid, camera)
+        valid = known.valid if view.trained is None else known.valid & view.trained
+        warped, seen = forward_splat(view.camera, view.image, known.depth, valid, camera)
         step.log(f"{self.context.name}_seen", float(seen.float().mean()))
         if not seen.any():
             return torch.zeros(())

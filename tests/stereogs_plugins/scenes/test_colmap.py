@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from registry import Scene, SceneError
@@ -93,6 +94,48 @@ def test_photographs_at_another_size(tmp_path: Path) -> None:
     assert resized.train[0].image.shape == (24, 32, 3)
     assert resized.fact("source") == "images"
     assert resized.fact("changed") == "resized from 64x48 to 32x24 with the lanczos filter"
+
+
+MASKS = {
+    "colmap": "masks/IMG_{:02d}.JPG.png",
+    "nerfstudio": "masks/IMG_{:02d}.png",
+    "same_name": "masks/IMG_{:02d}.JPG",
+    "reduced": "masks_2/IMG_{:02d}.JPG.png",
+}
+
+
+@pytest.mark.parametrize("kind", MASKS)
+def test_masks_exclude_pixels_and_the_points_that_only_they_show(kind: str, tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    reduced = kind == "reduced"
+    if reduced:
+        shutil.move(folder / "images", folder / "images_2")
+    for index in range(9):
+        path = folder / MASKS[kind].format(index)
+        path.parent.mkdir(exist_ok=True)
+        kept = np.full((48, 64), 255, np.uint8)
+        column, row = World().project(index)[1].astype(int)  # the red point
+        kept[row - 4 : row + 5, column - 4 : column + 5] = 0
+        Image.fromarray(kept).save(path)
+    settings = {"downsample": 2} if reduced else {}
+    scene = load(folder, **settings)
+    red = torch.tensor([1.0, 0.0, 0.0])
+    for view in (*scene.train, *scene.test):
+        assert view.weights is not None
+        assert view.weights.sum() == 48 * 64 - 81
+        assert not (view.for_training().image == red).all(dim=2).any()
+    assert scene.points is not None
+    assert len(scene.points) == len(POINTS) - 1
+    assert scene.fact("masks") == "training and scores"
+    assert load(folder, masks=False, **settings).train[0].weights is None
+
+
+def test_masks_of_other_names_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "masks").mkdir()
+    Image.new("L", (64, 48), 255).save(folder / "masks" / "mask0.png")
+    assert load(folder).train[0].weights is None
+    assert "none is named as a photograph, for example IMG_00.JPG.png" in caplog.text
 
 
 def test_points_need_two_training_views(tmp_path: Path) -> None:

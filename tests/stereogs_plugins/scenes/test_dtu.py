@@ -86,6 +86,7 @@ def test_only_pure_white_of_a_mask_counts(folder: Path) -> None:
         assert view.mask is not None
         assert not view.mask[:, :17].any()
         assert view.mask[:, 17:].all()
+        assert view.weights is None  # evaluation only
     assert all(view.mask is None for view in load(folder, masks=False).test)
 
 

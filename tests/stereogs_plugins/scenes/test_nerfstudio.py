@@ -187,16 +187,23 @@ MASKS: dict[str, Callable[[Any], Image.Image]] = {
 
 
 @pytest.mark.parametrize("kind", [*MASKS, "jpeg"])
-def test_masks_of_every_kind_count_the_same_pixels(kind: str, tmp_path: Path) -> None:
+def test_masks_of_every_kind_count_the_same_pixels(
+    kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
     folder = write_nerfstudio(tmp_path, World())
     kept = np.zeros((48, 64))
     kept[16:40, 8:48] = 1
     name = "mask.jpg" if kind == "jpeg" else "mask.png"
     MASKS.get(kind, MASKS["0 and 255"])(kept).save(folder / name)
     edit(folder, lambda c: [frame.update(mask_path=name) for frame in c["frames"]])
-    mask = load(folder).train[0].mask
-    assert mask is not None
-    np.testing.assert_array_equal(mask.numpy(), kept == 1)
+    view = load(folder).train[0]
+    for mask in (view.mask, view.weights):
+        assert mask is not None
+        np.testing.assert_array_equal(mask.numpy(), kept == 1)
+    assert "9 of 9 photographs have a mask" in caplog.text
+    assert ("9 masks: " in caplog.text) == (kind not in ("0 and 255", "palette"))
+    assert load(folder, masks=False).train[0].weights is None
 
 
 def test_a_mask_of_another_shape_is_refused(tmp_path: Path) -> None:

@@ -78,6 +78,9 @@ def guesses(
             depth[miscolored(points, image, camera, evidence)] = 0
         depth[is_background(image, scene.background, background_range)] = 0
         depth[analysis.backgrounds[index]] = 0
+        trained = scene.train[index].trained
+        if trained is not None:
+            depth[~trained.numpy()] = 0
         count = int((depth > 0).sum())
         if not also_shown:
             depth[shown_elsewhere(all_evidence[index], evidence, [images[k] for k in others])] = 0

@@ -50,8 +50,15 @@ class Evidence:
 
     @classmethod
     def of(cls, view: TrainingView, confirmed: DepthImage) -> Self:
-        """Evidence of a view and its confirmed depths `[H, W]`, 0 elsewhere."""
-        return cls(view.camera, confirmed, *lowest_and_highest(view.image.numpy(), COLOR_WINDOW))
+        """Evidence of a view and its confirmed depths `[H, W]`, 0 elsewhere.
+
+        Pixels that do not train accept any colour.
+        """
+        lowest, highest = lowest_and_highest(view.image.numpy(), COLOR_WINDOW)
+        if view.trained is not None:
+            unknown = ~view.trained.numpy()
+            lowest[unknown], highest[unknown] = -np.inf, np.inf
+        return cls(view.camera, confirmed, lowest, highest)
 
     def votes(
         self, points: Floats, colors: Colors, photographed_by: Camera

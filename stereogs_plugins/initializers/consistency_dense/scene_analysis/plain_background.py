@@ -50,15 +50,21 @@ class PlainAreas:
 
     @classmethod
     def of(cls, views: Sequence[TrainingView]) -> Self:
-        """Find the areas in the photographs."""
+        """Find the areas in the pixels of the photographs that train."""
         images = [view.image.numpy() for view in views]
         flats = [_flat(image) for image in images]
+        trained = [None if v.trained is None else v.trained.numpy() for v in views]
+        flats = [f if t is None else f & t for f, t in zip(flats, trained, strict=True)]
+        transparent = [None if v.alpha is None else v.alpha.numpy() < TRANSPARENT for v in views]
         return cls(
             tuple(
                 tuple(_area(image, flat, color) for image, flat in zip(images, flats, strict=True))
                 for color in _border_colors(images, flats)
             ),
-            tuple(None if v.alpha is None else v.alpha.numpy() < TRANSPARENT for v in views),
+            tuple(
+                t if t is None or known is None else t & known
+                for t, known in zip(transparent, trained, strict=True)
+            ),
         )
 
     def backgrounds(self, confirmed: Sequence[DepthImage]) -> list[Mask]:
