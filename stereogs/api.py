@@ -85,6 +85,7 @@ if TYPE_CHECKING:
         DepthMap as DepthMap,
         Disparity as Disparity,
         Flow as Flow,
+        Frame as Frame,
         Matches as Matches,
         MatchingPrior as MatchingPrior,
         MonocularDepthPrior as MonocularDepthPrior,
