@@ -23,6 +23,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.raster import Renderer, RenderRequest
 from tests.core_rasterizer.options import all_options, posed, smoothing_of
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.scenes import (
     NAMES,
     activated,
@@ -48,6 +49,12 @@ OPTIONS: dict[str, Options] = {
     "all": all_options,
 }
 IMAGES = ("rgb", "depth", "alpha")
+
+
+@pytest.fixture(scope="module")
+def device(device: QuickDevice) -> Device:
+    """Many variants of the kernels are built here."""
+    return device.unoptimized()
 
 
 @pytest.mark.parametrize("name", OPTIONS)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import Fact, PluginError, RunError, SceneError
+from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.runs.folder import METRICS, RunFolder
 from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
@@ -80,7 +80,16 @@ def test_facts_of_components_do_not_replace_those_of_the_host(
     load, initialize = ToyScene.load, ToyPoints.initialize
     facts = (Fact("width", 7), Fact("test", "none"), Fact("paint", 3, affects_scores=False))
     points = {"seconds": -1.0, "tries": 2}
-    monkeypatch.setattr(ToyScene, "load", lambda self: replace(load(self), facts=facts))
+
+    def with_facts(loader: ToyScene) -> Scene:
+        """With a second photograph of half the size."""
+        scene = load(loader)
+        first, view = scene.train
+        image, camera = view.image[::2, ::2].contiguous(), view.camera.resized(16, 12)
+        half = replace(view, camera=camera, image=image, depth=None)
+        return replace(scene, train=(first, half), facts=facts)
+
+    monkeypatch.setattr(ToyScene, "load", with_facts)
     monkeypatch.setattr(
         ToyPoints,
         "initialize",
