@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Scene, SceneLoader
+from registry import Fact, Scene, SceneLoader, View
 from registry.toolkit import counted
 from registry.toolkit.photos import (
     ColmapModel,
@@ -91,7 +92,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
         _warn_of_transparency(found, decoder)
-        loaded = LoadedPhotos.load(photos, decoder, train, test)
+        loaded, turned = _turned_upright(LoadedPhotos.load(photos, decoder, train, test))
         tracks = model.tracks()
         tracks.check(len(placed), str(folder))
         points = tracks.seen_by(train)
@@ -105,6 +106,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
+            *([Fact("turned_without_exif", ", ".join(turned))] if turned else ()),
             Fact("focal_lengths_by_exif", by_exif),
             *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
             *loaded.split_facts(rule, len(placed)),
@@ -149,6 +151,35 @@ def _names(found: list[UnposedPhoto]) -> list[str]:
         stem if stems.count(stem) == 1 else photo.name.replace("/", "_")
         for photo, stem in zip(found, stems, strict=True)
     ]
+
+
+def _turned_upright(loaded: LoadedPhotos) -> tuple[LoadedPhotos, list[str]]:
+    """Turn photographs on their side or upside down as the others are; also return their names.
+
+    They are few: pictures that were taken straight down have no upright side.
+    """
+    import torch
+
+    from registry.toolkit.drawing import quarter_turns, turned, upwards
+
+    views = loaded.views
+    up = upwards([view.camera for view in views])
+    quarters = [quarter_turns(view.camera, up) for view in views]
+    if not 0 < len(views) - quarters.count(0) <= max(1, len(views) // 4):
+        return loaded, []
+
+    def upright(view: View, count: int) -> View:
+        assert view.mask is None  # this loader has none
+        alpha = None if view.alpha is None else torch.rot90(view.alpha, count).contiguous()
+        image = torch.rot90(view.image, count).contiguous()
+        return replace(view, camera=turned(view.camera, count), image=image, alpha=alpha)
+
+    names = [view.name for view, count in zip(views, quarters, strict=True) if count]
+    _log.warning(
+        "on their side or upside down, without EXIF data that say so, and turned as the others are: %s",
+        ", ".join(names),
+    )
+    return replace(loaded, views=[*map(upright, views, quarters)]), names
 
 
 def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
