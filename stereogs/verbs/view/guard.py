@@ -89,7 +89,9 @@ class Guard:
             return "This page is served to this computer only."
         if any(origin != f"http://{hosts[0]}" for origin in origins):
             return "Another web page asked for this scene."
-        if request.path.startswith("//"):  # a host in place of a path, which viser would try to read
+        if request.path.startswith(
+            "//"
+        ):  # a host in place of a path, which viser would try to read
             return "There is no such page."
         if not self._has_token(request) and not self._has_cookie(request):
             return "Open the whole address that the command printed, with its token."
