@@ -201,7 +201,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.framed, newest)
+    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.scene, newest)
     try:
         for done in trainer.run():
             if done.number == last:
