@@ -102,6 +102,9 @@ def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     assert "scores are of training photographs; --test-every 8 holds out every 8th" in trained
     assert "late      took" in trained
     assert "30 iterations took" in trained, "the least"
+    better = "for a better scene: stereogs train 'my photos' --quality fast"
+    assert better in trained
+    assert better.replace("'", "&#x27;") in (tmp_path / "run" / "report.html").read_text("utf-8")
     assert "PIL" not in trained
     assert "finding the cameras" not in trained, "they are cached"
     results = json.loads((tmp_path / "run" / "results.json").read_text())

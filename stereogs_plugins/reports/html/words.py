@@ -18,7 +18,8 @@ def lead(results: Mapping[str, Any], scene: Scene) -> str:
         text += f", trained in {seconds(results['seconds'])}"
     if "device" in results:
         text += f" on {results['device'].get('name')}"
-    return f"{text}."
+    hurried = results.get("initialization", {}).get("hurried", "")
+    return f"{text}. {label(hurried)}" if hurried else f"{text}."
 
 
 def kind_of_scores(scene: Scene) -> str:
