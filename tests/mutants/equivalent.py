@@ -18,4 +18,9 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         'return "position" if rotation_error(homography, size) < thresholds.MIN_DEVIATION else "surface"',
         'return "position" if rotation_error(homography, size) <= thresholds.MIN_DEVIATION else "surface"',
     ): "a measured angle is never exactly the threshold",
+    (
+        "core_rasterizer/raster/kernels/raster_gpu.cl",
+        "sums[PAIR_ABSOLUTE_X] += fabs(d_p * (2 * g[REC_A] * dx + g[REC_B] * dy));",
+        "sums[PAIR_ABSOLUTE_X] -= fabs(d_p * (2 * g[REC_A] * dx + g[REC_B] * dy));",
+    ): "only its square is used",
 }

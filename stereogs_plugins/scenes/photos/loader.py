@@ -37,6 +37,9 @@ _log = logging.getLogger("stereogs.photos")
 class PhotosSettings(SplitSettings):
     path: Path
     """Path of the folder of photographs."""
+    test_every: int | None = Field(0, ge=0)
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views. null means 8, and 0 for fewer than eight photographs."""
     require_all_photos: bool = False
     """Raise an error if a photograph does not connect to the others; false leaves it out with a warning."""
     max_size: int = Field(800, ge=16)
