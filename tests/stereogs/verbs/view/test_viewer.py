@@ -22,7 +22,7 @@ from core_rasterizer import Camera, Device, GaussianModel, Gaussians
 from registry import RunError
 from registry.testing import tiny_scene
 from stereogs.verbs.view.guard import Guard
-from stereogs.verbs.view.subject import Subject, viewpoints_of
+from stereogs.verbs.view.subject import Subject, start_pose, viewpoints_of
 from stereogs.verbs.view.viewer import Viewer
 from tests.stereogs.verbs.view.browser import WINDOW, Received, change, move, visit
 
@@ -115,6 +115,18 @@ def test_the_browser_shows_the_scene_and_follows_the_controls(
         serve_until(viewer, received, lambda: "/crop_box" in received.nodes)
         change(page, received.controls["Show only the inside"], False)
         serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
+
+
+def test_a_lost_camera_returns_to_the_photographs(viewer: Viewer, subject: Subject) -> None:
+    start = start_pose(subject)
+    with visit(viewer.url) as page:
+        received = Received(page)
+        move(page, (30.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        received.position = None
+        change(page, received.controls["Back to the photographs"], True)
+        serve_until(viewer, received, lambda: received.position is not None)
+        assert received.position == pytest.approx(tuple(start.position / start.distance))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
