@@ -99,9 +99,12 @@ def test_a_folder_with_all_that_people_have_in_it(tmp_path: Path) -> None:
     assert command == "  stereogs train 'my photos'"
 
     trained = shell(f"{command} --seconds 0.1 --out run", tmp_path)
-    assert "4 photographs, fewer than 8: all train" in trained
+    assert "scores are of training photographs; --test-every 8 holds out every 8th" in trained
     assert "late      took" in trained
     assert "30 iterations took" in trained, "the least"
+    better = "for a better scene: stereogs train 'my photos' --quality fast"
+    assert better in trained
+    assert better.replace("'", "&#x27;") in (tmp_path / "run" / "report.html").read_text("utf-8")
     assert "PIL" not in trained
     assert "finding the cameras" not in trained, "they are cached"
     results = json.loads((tmp_path / "run" / "results.json").read_text())
@@ -164,7 +167,7 @@ def test_three_photographs_train_on_three(
 ) -> None:
     take(scene, numbers, tmp_path / "photos", (504, 378))
     output = shell("stereogs train photos --quality fast --out run", tmp_path)
-    assert "3 photographs, fewer than 8: all train" in output
+    assert "--test-every 8 holds out every 8th" in output
     assert "3 training views, 0 test views" in output
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert results["train"]["psnr"] > 24

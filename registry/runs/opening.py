@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -92,7 +94,8 @@ def load_run(
         )
     parts = Parts(pipeline, device)
     begin = monotonic()
-    scene = load_scene(parts.one("scene")) if scene is None else validate(scene)
+    with nullcontext() if to_train else _without_advice():
+        scene = load_scene(parts.one("scene")) if scene is None else validate(scene)
     loading = monotonic() - begin
     before, _ = folder.inputs()
     if before is not None and not accept_changed_inputs:
@@ -115,6 +118,17 @@ def load_run(
         folder=folder,
         saved_iteration=checkpoint.iteration,
     )
+
+
+@contextmanager
+def _without_advice() -> Iterator[None]:
+    """Print no lines about the photographs: training has printed them, and they advise how to train."""
+    before = logging.root.manager.disable
+    logging.disable(max(before, logging.WARNING))
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 def _check_hash(folder: RunFolder, iteration: int, digest: str) -> None:
@@ -201,7 +215,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.framed, newest)
+    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.scene, newest)
     try:
         for done in trainer.run():
             if done.number == last:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from typing import Any
 
 import pytest
@@ -34,6 +35,7 @@ class QuickDevice(Device):
     def as_discrete(self) -> QuickDevice:
         return QuickDevice(self, self.variant, False, self._everything)
 
+    @cached_property
     def unoptimized(self) -> QuickDevice:
         """The same device, which optimizes no kernel."""
         return QuickDevice(self, self.variant, self.shares_memory, True)

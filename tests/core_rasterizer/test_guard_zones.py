@@ -45,7 +45,7 @@ RATES = rates(1e-3)
 @pytest.fixture(scope="module")
 def device(device: QuickDevice) -> Device:
     """Many variants of the kernels are built here."""
-    return device.unoptimized()
+    return device.unoptimized
 
 
 @cache

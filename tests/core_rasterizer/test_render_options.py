@@ -54,14 +54,15 @@ IMAGES = ("rgb", "depth", "alpha")
 @pytest.fixture(scope="module")
 def device(device: QuickDevice) -> Device:
     """Many variants of the kernels are built here."""
-    return device.unoptimized()
+    return device.unoptimized
 
 
-@pytest.mark.parametrize("name", OPTIONS)
 @pytest.mark.parametrize(
-    ("dtype", "image_bound", "gradient_bound"),
-    [(torch.float32, 1e-6, 2e-5), (torch.float64, 1e-12, 1e-9)],
-    ids=["float", "double"],
+    ("name", "dtype", "image_bound", "gradient_bound"),
+    [
+        *((name, torch.float64, 1e-12, 1e-9) for name in OPTIONS),
+        *((name, torch.float32, 1e-6, 2e-5) for name in ("pose", "all")),
+    ],
 )
 def test_agrees_with_the_oracle(
     device: Device, name: str, dtype: torch.dtype, image_bound: float, gradient_bound: float

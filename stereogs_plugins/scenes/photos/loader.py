@@ -37,6 +37,9 @@ _log = logging.getLogger("stereogs.photos")
 class PhotosSettings(SplitSettings):
     path: Path
     """Path of the folder of photographs."""
+    test_every: int | None = Field(0, ge=0)
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views. null means 8, and 0 for fewer than eight photographs."""
     require_all_photos: bool = False
     """Raise an error if a photograph does not connect to the others; false leaves it out with a warning."""
     max_size: int = Field(800, ge=16)
@@ -92,6 +95,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
         _warn_of_transparency(found, decoder)
+        _warn_of_grey(found)
         loaded, turned = _turned_upright(LoadedPhotos.load(photos, decoder, train, test))
         tracks = model.tracks()
         tracks.check(len(placed), str(folder))
@@ -189,6 +193,16 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
         _log.warning(
             "transparent pixels in %d of %d pictures, %s first, are laid on the background (%s)",
             *(len(transparent), len(found), transparent[0], color),
+        )
+
+
+def _warn_of_grey(found: list[UnposedPhoto]) -> None:
+    grey = [photo.name for photo in found if photo.grey]
+    if 0 < len(grey) < len(found):
+        _log.warning(
+            "%d of %d photographs have no colours, %s first, and the scene's colours become paler: remove "
+            "them, or make all grey",
+            *(len(grey), len(found), grey[0]),
         )
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import sys
@@ -224,6 +225,27 @@ def test_opening_a_run_loads_the_scene_with_its_settings(
     opened = load_run(folder.path, plugins=toys, device=device)
     assert opened.scene.test == ()
     assert opened.model.digest() == folder.results()["hash"]
+
+
+def test_lines_about_photographs_are_printed_by_trainings_only(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    load = ToyScene.load
+
+    def advise(self: ToyScene) -> Any:
+        logging.getLogger("toys").warning("photograph more")
+        return load(self)
+
+    monkeypatch.setattr(ToyScene, "load", advise)
+    load_run(folder.path, plugins=toys, device=device, to_train=False)
+    assert "photograph more" not in caplog.text
+    load_run(folder.path, plugins=toys, device=device)
+    assert "photograph more" in caplog.text
 
 
 def test_the_demo_pipeline_trains_with_the_installed_plugins(

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.host import Description, Trial, main
+from core_rasterizer.device import Description, Trial
+from tests.host import main
 
 Capture = pytest.CaptureFixture[str]
 GOOD = Trial(None, 0.02, 1e-7, 1e-6, 1e-7)

@@ -169,6 +169,8 @@ def test_the_printed_address_opens_the_page_and_its_files(viewer: Viewer) -> Non
         ("/", {}),
         ("/index.html", {}),
         ("/?token=guessed", {}),
+        ("//[", {}),
+        ("//[?token=guessed", {}),
         ("/", {"Cookie": "stereogs-1=guessed; a"}),
     ],
 )
@@ -177,6 +179,13 @@ def test_nobody_else_gets_the_page(viewer: Viewer, path: str, headers: dict[str,
     assert refused.status == 403
     assert refused.headers["Set-Cookie"] is None
     assert len(refused.read()) < 100
+
+
+def test_the_token_does_not_open_an_address_that_is_none(viewer: Viewer) -> None:
+    query = urlsplit(viewer.url).query
+    assert answer(viewer, f"//[?{query}").status == 403
+    assert answer(viewer, f"//[::1]/?{query}").status == 403
+    assert answer(viewer, f"/nothing?{query}").status == 404
 
 
 @pytest.mark.parametrize("case", ["foreign origin", "foreign host", "no token"])
