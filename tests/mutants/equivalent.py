@@ -23,4 +23,9 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "sums[PAIR_ABSOLUTE_X] += fabs(d_p * (2 * g[REC_A] * dx + g[REC_B] * dy));",
         "sums[PAIR_ABSOLUTE_X] -= fabs(d_p * (2 * g[REC_A] * dx + g[REC_B] * dy));",
     ): "only its square is used",
+    (
+        "stereogs_plugins/scenes/photos/video_file.py",
+        "position = np.cumsum([max(frame.motion, _MIN_MOTION) for frame in candidates])",
+        "position = np.cumsum([max(_MIN_MOTION, frame.motion) for frame in candidates])",
+    ): "the larger of two numbers does not depend on their order",
 }
