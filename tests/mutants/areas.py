@@ -67,7 +67,7 @@ _CPU = {
     **_engine(
         "optimization",
         adam="optimizer",
-        adam_values="optimizer",
+        adam_values="optimizer poison",
         photometric="photometric",
         ssim="photometric",
         topology="topology relocation",

@@ -28,4 +28,9 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "position = np.cumsum([max(frame.motion, _MIN_MOTION) for frame in candidates])",
         "position = np.cumsum([max(_MIN_MOTION, frame.motion) for frame in candidates])",
     ): "the larger of two numbers does not depend on their order",
+    (
+        "core_rasterizer/raster/kernels/bin.cl",
+        "PREFETCH_TO_WRITE(slot_count + order[r + ORDER_AHEAD]);",
+        ";",
+    ): "a prefetch changes the time only",
 }
