@@ -11,8 +11,9 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	runtimes races stress kills fuzz sick lint types check docs site flight viewer-bundle methods parts results curve profile \
-	gpu bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
+	runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
+	methods parts results curve profile gpu \
+	bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -51,6 +52,9 @@ fuzz: $(VENV)/.dev ## 100,000 damaged files of each format through its reader, a
 
 sick: $(VENV)/.dev ## 252 components with one fault each, and what the host says about them; minutes
 	$(BIN)/python -m tests.sick
+
+mutants: $(VENV)/.dev ## 120 changes of one place each, which tests must notice; an hour; resumable
+	$(BIN)/python -m tests.mutants
 
 # Fetched into build/runtimes with apt-get and pip, installed nowhere; skipped with a reason without a network.
 runtimes: $(VENV)/.dev ## the engine's tests on other OpenCL runtimes, fetched first; up to an hour

@@ -181,7 +181,8 @@ def _needles(device: Device) -> list[str]:
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
     )
     lines = (result.stdout or result.stderr).splitlines()
-    return [line for line in lines if "Error: " in line] + lines[-1:]
+    failed = [line.removeprefix(f"{ROOT}/") for line in lines if line.startswith(str(ROOT))]
+    return failed + lines[-1:]
 
 
 def _processor() -> str:

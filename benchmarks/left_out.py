@@ -107,7 +107,7 @@ class VariantTrainings:
     @one_torch_thread()
     def trial(self, case: str, pipeline: Pipeline) -> VariantScore:
         """Train one pipeline on one case."""
-        scene = self._scene(case)
+        scene = self._scene(case).in_frame()
         pipeline = pipeline.for_views(len(scene.train))
         settings = pipeline.training
         parts = Parts(pipeline, self.device)

@@ -55,7 +55,7 @@ def milliseconds(work: Callable[[], Any], repeats: int = 45) -> float:
     return 1e3 * median(times[2:])
 
 
-def python_milliseconds(repeats: int = 15) -> float:
+def python_milliseconds(repeats: int = 300) -> float:
     """Return CPU milliseconds of a fixed loop of pure Python on this thread, the least of several runs."""
 
     def loop() -> float:

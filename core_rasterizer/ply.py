@@ -94,10 +94,11 @@ def save_ply(
     rest_names = tuple(f"{_REST}{i}" for i in range(rest.shape[1]))
     names = (*_NORMAL, *_CONSTANT_BAND, *rest_names, "opacity", *_SCALE, *_ROTATION)
     names += tuple(attributes or {})
-    position = "<f8" if gaussians.needs_double else "<f4"
-    if gaussians.needs_double:
+    far = gaussians.needs_double
+    if far:
         _log.warning("%s: positions far from the origin are written as float64", path)
-    types = [(name, position) for name in _POSITION] + [(name, "<f4") for name in names]
+    types = [(name, "<f8" if far else "<f4") for name in _POSITION]
+    types += [(name, "<f4") for name in names]
     rows = np.empty(len(columns), types)
     for name, values in zip(_POSITION, means.numpy().T, strict=True):
         rows[name] = values

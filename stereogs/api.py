@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         Densification as Densification,
         Exporter as Exporter,
         Fact as Fact,
+        Frame as Frame,
         HostDefaults as HostDefaults,
         Initializer as Initializer,
         Metric as Metric,

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from benchmarks.peer import disagreement
     from benchmarks.priors_depth import point_errors, reconstructed
     from benchmarks.priors_stereo import NAMES as PAIR_NAMES, load_pair, score as stereo_score
-    from core_rasterizer.device import Description, Trial, Variant
     from core_rasterizer.layout import PARAMETERS, row_count
     from registry.calls.policy import checked_plugins
     from registry.contract.checks.answers import check_sample
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
     from registry.testing.scenes import pipeline_item, pipeline_of
     from registry.toolkit.cache.entries import FOLDER_VARIABLE
     from registry.toolkit.cache.keys import module_digest
-    from registry.toolkit.drawing.axis_ticks import round_step
     from registry.toolkit.drawing.pictures import save_view_pictures
     from registry.toolkit.networks.model_file import check_content
     from registry.toolkit.progress.stages import Stages
@@ -71,7 +69,6 @@ if TYPE_CHECKING:
     )
     from registry.training.field import OPACITY_MARGIN, Field
     from registry.training.initial_model import initial_gaussians, new_model
-    from registry.training.scene_facts import points_in_view, summary, typical_depth, warnings
     from registry.training.trainer import Trainer, ViewOrder
     from stereogs.cli import main, parse as parse_command
     from stereogs.command_line.installed import verbs
@@ -80,10 +77,6 @@ if TYPE_CHECKING:
     from stereogs.experiments.comparing.comparison import read_run
     from stereogs.experiments.comparing.labels import labels
     from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
-    from stereogs.experiments.planning.matrix import plan_of, read_matrix
-    from stereogs.experiments.planning.plan import Plan as MatrixPlan
-    from stereogs.experiments.running.folder import ExperimentFolder
-    from stereogs.experiments.running.pool import Outcome, PoolProgress, choose_runner, train_all
     from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.new_plugin.package_files import KINDS

@@ -73,7 +73,10 @@ FACES = {
 
 
 TEST_FILES = sorted((ROOT / "tests").rglob("*.py"))
-TEST_FACES = {*FACES, "stereogs", "stereogs.api", "stereogs.testing", "registry.testing"}
+TEST_FACES = {
+    *FACES,
+    *("core_rasterizer.device", "registry.testing", "stereogs", "stereogs.api", "stereogs.testing"),
+}
 """Modules that all tests may import from, beside those of components, `stereogs_plugins.KIND.NAME`."""
 SUBJECT = re.compile(r"Tests of `([\w.]+)`.*, which import its modules\.")
 """How a file of tests, or the `__init__.py` of its folder, says whose modules it may import too."""

@@ -170,9 +170,12 @@ def _check_smoothing(smoothing: Tensor, count: int) -> None:
         raise GaussianError(
             f"the shape is {tuple(smoothing.shape)}, expected ({count},)", field="smoothing"
         )
-    bad = (~(torch.isfinite(smoothing) & (smoothing >= 0))).nonzero()
-    if len(bad):
-        index = int(bad[0, 0])
+    if not count:
+        return
+    low, high = smoothing.detach().aminmax()  # a NaN becomes both and compares as false
+    if not 0 <= low <= high < math.inf:
+        bad = ~(torch.isfinite(smoothing) & (smoothing >= 0))
+        index = int(bad.nonzero()[0, 0])
         raise GaussianError(
             f"the standard deviation is {float(smoothing[index])}",
             field="smoothing",

@@ -242,8 +242,10 @@ class Scene:
             self.name, views, self.bounds, self.points, self.background, self.frame
         )
 
-    def in_frame(self, frame: Frame) -> Scene:
-        """Return the scene of a file in another frame, for training."""
+    def in_frame(self, frame: Frame | None = None) -> Scene:
+        """Return the scene of a file in another frame, for training; None: `Frame.of` this scene."""
+        if frame is None:
+            frame = Frame.of([view.camera for view in self.train], self.bounds)
         unit, points = frame.unit, self.points
         near, far = self.bounds
         return replace(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -132,11 +133,14 @@ def parse(text: str, source: str, *, has_lines: bool = True) -> Node:
         PipelineError: see `read`.
     """
 
-    def place(line: int) -> Place:
-        return Place(source, line + 1 if has_lines else None)
-
-    root = _compose(text, place)
+    place = _places(source, has_lines)
+    root = _compose(text, source, has_lines)
     return Node(None, place(0)) if root is None else _converted(root, place, set())
+
+
+def _places(source: str, has_lines: bool) -> Callable[[int], Place]:
+    """Return the function from 0-based lines to places."""
+    return lambda line: Place(source, line + 1 if has_lines else None)
 
 
 class _Loader(yaml.BaseLoader):
@@ -161,8 +165,10 @@ class _Loader(yaml.BaseLoader):
             self._depth -= 1
 
 
-def _compose(text: str, place: Callable[[int], Place]) -> yaml.Node | None:
-    """Return PyYAML's tree; its errors become PipelineErrors. `place` takes a 0-based line."""
+@lru_cache(maxsize=128)  # campaigns read the same files for each of hundreds of runs
+def _compose(text: str, source: str, has_lines: bool) -> yaml.Node | None:
+    """Return PyYAML's tree, which no caller changes; its errors become PipelineErrors."""
+    place = _places(source, has_lines)
     loader: _Loader | None = None
     try:
         loader = _Loader(text, place)

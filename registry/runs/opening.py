@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -96,7 +98,8 @@ def load_run(
     pipeline = in_its_place(pipeline, folder, scene if isinstance(scene, Path) else None)
     parts = Parts(pipeline, device)
     begin = monotonic()
-    scene, complete = _scene_of(scene, parts, folder, photographs)
+    with nullcontext() if to_train else _without_advice():
+        scene, complete = _scene_of(scene, parts, folder, photographs)
     loading = monotonic() - begin
     before, _ = folder.inputs()
     if before is not None and complete and not accept_changed_inputs:
@@ -138,6 +141,17 @@ def _scene_of(
             raise
         _log.info("the photographs cannot be loaded, and are not needed: %s", error.what)
         return scene_of(known, error), False
+
+
+@contextmanager
+def _without_advice() -> Iterator[None]:
+    """Print no lines about the photographs: training has printed them, and they advise how to train."""
+    before = logging.root.manager.disable
+    logging.disable(max(before, logging.WARNING))
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 def _check_hash(folder: RunFolder, iteration: int, digest: str) -> None:
@@ -224,7 +238,7 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.framed, newest)
+    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.scene, newest)
     try:
         for done in trainer.run():
             if done.number == last:

@@ -15,7 +15,6 @@ from ..calls.process_state import one_torch_thread
 from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
-from ..contract.frame import Frame
 from ..contract.scene import PointCloud, Scene
 from ..pipeline.faults import faults, refuse_missing_priors
 from ..pipeline.parts import Parts, load_scene
@@ -123,7 +122,7 @@ def prepare(loaded: Loaded, options: RunOptions) -> Prepared:
     ]
     for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
         console.print(f"warning: {warning}")
-    framed = scene.in_frame(Frame.of([view.camera for view in scene.train], scene.bounds))
+    framed = scene.in_frame()
     initializer, known = parts.one("initializer"), framed.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     points = initializer.call(known, parts.priors, checks=initialization(), guard=of_scene(known))

@@ -117,7 +117,7 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            trainer = restore(run.parts, run.framed, checkpoint, run.engine_model)
+            trainer = restore(run.parts, run.scene, checkpoint, run.engine_model)
         record_changed_inputs(run, folder)
         sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
         metrics = MetricsLog(run.add_metrics, sums)

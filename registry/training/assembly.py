@@ -18,7 +18,7 @@ def assemble(
 
     Args:
         parts: components of the pipeline; their device trains.
-        scene: validated.
+        scene: validated, in the frame of training.
         points: output of the initializer, checked (`check_initialization`).
         gaussians: made from the points (`initial_gaussians`); None makes them.
 
@@ -38,7 +38,8 @@ def restore(
     """Return the training of a pipeline after a checkpoint; it continues to the same bits.
 
     Args:
-        parts, scene: as in `assemble`.
+        parts: as in `assemble`.
+        scene: in the coordinates of its files.
         model: holds the checkpoint's Gaussians; None creates it.
 
     Raises:
@@ -48,4 +49,5 @@ def restore(
     settings = parts.pipeline.training
     if model is None:
         model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
-    return Trainer(settings, parts, scene, model, checkpoint=checkpoint)
+    framed = scene.in_frame(checkpoint.frame)
+    return Trainer(settings, parts, framed, model, checkpoint=checkpoint)

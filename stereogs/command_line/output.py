@@ -94,6 +94,10 @@ def conclude(run: Run, output: Console) -> int:
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
     output.print(results_table(results), soft_wrap=False)
+    if results["train"] and not results["test"]:
+        output.print(
+            "scores are of training photographs; --test-every 8 holds out every 8th to score new views"
+        )
     memory = results["peak_memory_mb"]
     output.print(
         f"{results['gaussians']:,} Gaussians, {results['iterations']:,} iterations in "

@@ -85,7 +85,9 @@ def run_plan(
             f"on {device.name}; writing {folder.path}"
         )
         with showing(output):
-            check_scenes(waiting, device, plugins)
+            doubts = check_scenes(waiting, device, plugins)
+        for doubt in doubts:
+            output.print(f"warning: {doubt}")
         outcome = train_all(waiting, folder, part, device=arguments.device, console=output)
         results = {run: folder.results(run) for run in plan.runs}
         _write(plan, results, folder, output)

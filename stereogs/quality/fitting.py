@@ -8,6 +8,7 @@ run's pipeline records all choices, so that it can be repeated.
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,10 @@ TOLERATED = 1.1
 """Training starts again if it would end after this multiple of the budget."""
 WORTHWHILE = 0.8
 """Training starts again only if that takes at most this share of the time for going on."""
+HURRIED = "hurried"
+"""Name of the fact in results.json, which the report shows."""
+FEW_PIXELS, FEW_ITERATIONS = 400, 100
+"""A run with less on the longer side, or with fewer iterations, is reported as hurried."""
 NEARLY = 0.95
 """Photographs smaller than this multiple of the wanted size are reported; lenses crop a few pixels."""
 
@@ -92,6 +97,7 @@ class Fit:
     size: int | None = None
     adapts_size: bool = False
     device: str | None = None
+    _shrunk: bool = field(default=False, init=False)
 
     def train(
         self, pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
@@ -107,7 +113,7 @@ class Fit:
             fitted = self.fitted(initial)
             if fitted is not initial.pipeline:
                 initial = initial.of(fitted)
-            return self._train(initial, active, out)
+            return self._train(_noting(initial, self.hurried(initial)), active, out)
 
     def _train(
         self, initial: Prepared, options: RunOptions, out: Path | ChooseFolder | None
@@ -128,7 +134,8 @@ class Fit:
         if run.folder is not None:
             out = run.folder.path
             shutil.rmtree(out)
-        return self._train(initial.of(corrections[0]), options, out)
+        shorter = initial.of(corrections[0])
+        return self._train(_noting(shorter, self.hurried(shorter)), options, out)
 
     def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
         """Return the pipeline with smaller photographs if time or memory is short.
@@ -157,6 +164,7 @@ class Fit:
         found = smaller_size(scene, self._cpu_seconds_left(), open_device(self.device))
         if found is None:
             return pipeline
+        self._shrunk = True
         self.log(f"photographs: {found.pixels} pixels instead of {longer}: {found.reason} is short")
         self.log("  --size PIXELS chooses the longer side")
         settings = loader.settings.model_copy(update={"max_size": found.pixels})
@@ -170,6 +178,10 @@ class Fit:
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline that trains, with the same scene, priors and initializer."""
         return initial.pipeline
+
+    def hurried(self, initial: Prepared) -> str:
+        """Return how little the time allowed, and the command for a better scene; "" if it was enough."""
+        return ""
 
     def corrected(self, done: int, total: int) -> Pipeline | None:
         """Return a pipeline to start training again with, or None; called after each iteration.
@@ -252,6 +264,24 @@ class WithinSeconds(Fit):
         self._log_cost(count)
         return chosen
 
+    def hurried(self, initial: Prepared) -> str:
+        """Return the size and length if one is below `FEW_PIXELS` or `FEW_ITERATIONS`, and a command."""
+        camera, count = initial.scene.train[0].camera, initial.pipeline.training.iterations
+        pixels = max(camera.width, camera.height)
+        shrunk = self._shrunk and pixels < FEW_PIXELS
+        shortened = count < min(FEW_ITERATIONS, self._whole.training.iterations)
+        if not shrunk and not shortened:
+            return ""
+        better = "without --seconds it trains in full"
+        path = getattr(initial.pipeline.one("scene").settings, "path", None)
+        if self.load is not None and path is not None:
+            command = f"stereogs train {shlex.quote(str(path))} --quality fast"
+            better = f"for a better scene: {command}"
+        return (
+            f"hurried: --seconds {self.budget.seconds:g} left time for {pixels} pixels and {count} "
+            f"iterations; {better}"
+        )
+
     def _measure(self, initial: Prepared, ready: str | None, *, again: bool = True) -> None:
         """Consider a pipeline, and time it if there is time left and `again` is true.
 
@@ -322,6 +352,8 @@ class WithinSeconds(Fit):
             parts["start, and timing of iterations"] = took - sum(parts.values())
             yield f"late      took {took:.1f} s instead of {self.budget.seconds:g} s, because"
             yield from (f"          {name} took {value:.1f} s" for name, value in parts.items())
+        if hurried := run.initialization.get(HURRIED):
+            yield str(hurried)
         yield f"repeat    stereogs train {run.folder_or_refuse().pipeline}; it took {took:.1f} s"
 
     def _log_cost(self, count: int) -> None:
@@ -341,6 +373,13 @@ class WithinSeconds(Fit):
         )
         if total < 0.9 * seconds:
             self.log(f"  less than {seconds:g} s, because more iterations are not known to help")
+
+
+def _noting(initial: Prepared, hurried: str) -> Prepared:
+    """Return the state with the sentence among the facts that results and report show, or without one."""
+    facts = {name: fact for name, fact in initial.points.facts.items() if name != HURRIED}
+    facts |= {HURRIED: hurried} if hurried else {}
+    return replace(initial, points=replace(initial.points, facts=facts))
 
 
 def _ready(name: str, initial: Prepared, load: Load) -> Pipeline:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,12 @@ def test_the_digest_does_not_depend_on_the_location_of_the_data(
     assert here.digest == there.digest
 
 
+@cache
+def planned() -> list[PartsTraining]:
+    """The runs of the first two tables and of the objects, of every seed."""
+    return planned_runs([EIGHT, TERM_TABLE, OBJECTS], PLUGINS)
+
+
 def records_of(psnr: dict[str, float]) -> list[Record[PartsTraining]]:
     """A record of each row of the first two tables that has a number; seeds shift it."""
     term = {
@@ -80,7 +87,7 @@ def records_of(psnr: dict[str, float]) -> list[Record[PartsTraining]]:
         "stereo_depth_baseline": 5.0,
     }
     found = []
-    for run in planned_runs([EIGHT, TERM_TABLE, OBJECTS], PLUGINS):
+    for run in planned():
         label = labels(run).get(EIGHT.title) or labels(run).get(TERM_TABLE.title)
         if label in psnr:
             scores = {"psnr": psnr[label] + run.seed, **SCORES, "lpips_alex": 0.0625}

@@ -9,15 +9,19 @@ from collections.abc import Iterator
 import pytest
 
 from core_rasterizer import Device, DeviceError, list_devices
+from core_rasterizer.device import Variant
+from tests.core_rasterizer.quick_device import QuickDevice
+
+VARIANTS: tuple[Variant, ...] = ("cpu", "gpu")
 
 
-def _engines() -> list[Device]:
+def _engines() -> list[QuickDevice]:
     wanted = os.environ.get("STEREOGS_DEVICE", "")
     devices = [device for device in list_devices() if device.describe(0).is_named(wanted)]
     return [
-        device.as_variant(variant)
+        QuickDevice(device, variant, device.shares_memory)
         for device in devices
-        for variant in ("cpu", "gpu")
+        for variant in VARIANTS
         if variant == "gpu" or device.kind == "cpu"
     ]
 
@@ -27,9 +31,9 @@ def _label(device: Device) -> str:
 
 
 @pytest.fixture(params=_engines(), ids=_label, scope="session")
-def device(request: pytest.FixtureRequest) -> Device:
+def device(request: pytest.FixtureRequest) -> QuickDevice:
     """A device with one of the two raster variants."""
-    chosen: Device = request.param
+    chosen: QuickDevice = request.param
     return chosen
 
 

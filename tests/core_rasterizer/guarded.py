@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Device
+from tests.core_rasterizer.quick_device import QuickDevice
 
 ZONE = 1 << 14
 """Bytes before and after every buffer; also a multiple of any device's address alignment."""
@@ -17,7 +18,7 @@ PATTERNS = (0xFF, 0x7F)
 """Read as numbers: NaN and -1 or 2^32 - 1; 3e38 (1e306 in double) and two thousand million."""
 
 
-class GuardedDevice(Device):
+class GuardedDevice(QuickDevice):
     """A device on which every buffer lies between two zones of one known byte.
 
     What a kernel writes outside its buffers changes a zone, which `check` finds. What it reads there
@@ -25,7 +26,7 @@ class GuardedDevice(Device):
     """
 
     def __init__(self, original: Device, pattern: int) -> None:
-        super().__init__(original.queue.device, original.variant, original.shares_memory)
+        super().__init__(original, original.variant, original.shares_memory, everything=True)
         self._pattern = pattern
         self._parts: list[tuple[cl.Buffer, cl.Buffer]] = []
 

@@ -27,6 +27,7 @@ from core_rasterizer.raster import Renderer, RenderRequest
 from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.scenes import (
     Leaves,
     fresh,
@@ -39,6 +40,12 @@ from tests.core_rasterizer.scenes import (
 )
 
 RATES = rates(1e-3)
+
+
+@pytest.fixture(scope="module")
+def device(device: QuickDevice) -> Device:
+    """Many variants of the kernels are built here."""
+    return device.unoptimized
 
 
 @cache

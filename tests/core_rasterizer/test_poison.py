@@ -30,6 +30,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETERS, padded
 from core_rasterizer.raster import NEAR_PLANE, pack
 from tests.core_rasterizer.options import posed
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.scenes import NAMES, Scene, gradient, random_scene, rates, weighted_loss
 
 IN_THE_SUITE = 300
@@ -171,7 +172,7 @@ def test_the_function(
     loss_scale=loss_scales,
 )
 def test_poses_and_filters(
-    device: Device,
+    device: QuickDevice,
     scene: Scene,
     view: tuple[dict[str, float], tuple[int, int]],
     smoothed: list[tuple[int, float, bool]],
@@ -196,7 +197,7 @@ def test_poses_and_filters(
             dilation=dilation,
             compensate_dilation=True,
             smoothing=smoothing,
-            device=device,
+            device=device.unoptimized,
         )
     except (CameraError, GaussianError) as error:
         refusal = error

@@ -23,6 +23,7 @@ from core_rasterizer import (
 from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.raster import Renderer, RenderRequest
 from tests.core_rasterizer.options import all_options, posed, smoothing_of
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.scenes import (
     NAMES,
     activated,
@@ -50,11 +51,18 @@ OPTIONS: dict[str, Options] = {
 IMAGES = ("rgb", "depth", "alpha")
 
 
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.fixture(scope="module")
+def device(device: QuickDevice) -> Device:
+    """Many variants of the kernels are built here."""
+    return device.unoptimized
+
+
 @pytest.mark.parametrize(
-    ("dtype", "image_bound", "gradient_bound"),
-    [(torch.float32, 1e-6, 2e-5), (torch.float64, 1e-12, 1e-9)],
-    ids=["float", "double"],
+    ("name", "dtype", "image_bound", "gradient_bound"),
+    [
+        *((name, torch.float64, 1e-12, 1e-9) for name in OPTIONS),
+        *((name, torch.float32, 1e-6, 2e-5) for name in ("pose", "all")),
+    ],
 )
 def test_agrees_with_the_oracle(
     device: Device, name: str, dtype: torch.dtype, image_bound: float, gradient_bound: float

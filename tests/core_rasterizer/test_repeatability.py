@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 import torch
@@ -15,8 +16,13 @@ from tests.core_rasterizer.scenes import gradient, parameters, view
 from tests.core_rasterizer.training import short_training
 
 
-def test_five_runs_give_one_digest(device: Device) -> None:
-    assert len({short_training(device) for _ in range(5)}) == 1
+@cache
+def digest(device: Device) -> str:
+    return short_training(device)
+
+
+def test_three_runs_give_one_digest(device: Device) -> None:
+    assert {short_training(device) for _ in range(2)} == {digest(device)}
 
 
 def with_units(device: Device, units: int) -> Device:
@@ -29,7 +35,7 @@ def with_units(device: Device, units: int) -> Device:
 
 @pytest.mark.parametrize("units", [1, 4])
 def test_one_and_four_compute_units_give_one_digest(device: Device, units: int) -> None:
-    assert short_training(with_units(device, units)) == short_training(device)
+    assert short_training(with_units(device, units)) == digest(device)
 
 
 @pytest.mark.parametrize("height", [7, 90, 378])

@@ -19,6 +19,7 @@ from core_rasterizer import (
 )
 from core_rasterizer.layout import PARAMETERS
 from core_rasterizer.raster import Renderer, RenderRequest
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.scenes import (
     activated,
     gradients_of,
@@ -30,6 +31,12 @@ from tests.core_rasterizer.scenes import (
 
 Overrides = Mapping[str, float]
 RATES = rates(1e-2)
+
+
+@pytest.fixture(scope="module")
+def device(device: QuickDevice) -> Device:
+    """Many variants of the kernels are built here."""
+    return device.unoptimized
 
 
 def outcome(

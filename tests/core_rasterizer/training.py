@@ -24,7 +24,7 @@ RATES = rates(1e-2)
 
 
 def short_training(
-    device: Device, count: int = 300, width: int = 120, height: int = 90, steps: int = 12
+    device: Device, count: int = 300, width: int = 80, height: int = 60, steps: int = 12
 ) -> str:
     """Fit Gaussians to two images, with topology edits and resets; return a digest of the results.
 

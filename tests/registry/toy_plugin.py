@@ -50,7 +50,7 @@ class ToyPoints(r.Initializer[ToyPointsSettings]):
         if points is None:
             raise r.SceneError("the scene has no points", where=scene.name, fix="use another one")
         end = self.settings.count
-        near = points.positions[:end, 2] < 3
+        near = scene.frame.points_in_file(points.positions[:end])[:, 2] < 3
         kinds = {"near": near, "far": ~near} if self.settings.kinds else {}
         return r.PointCloud(points.positions[:end], points.colors[:end], kinds=kinds)
 

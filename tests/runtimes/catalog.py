@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from core_rasterizer.device import Variant
+from tests.core_rasterizer.quick_device import OPTIMIZE
 from tests.runtimes.fetching import ROOT, unpacked
 
 LIBRARIES = Path("usr", "lib", "x86_64-linux-gnu")
@@ -37,7 +38,7 @@ class Runtime:
         Raises:
             Unavailable: it cannot be fetched.
         """
-        return {**os.environ, "STEREOGS_DEVICE": self.device, **self.fetch()}
+        return {**os.environ, OPTIMIZE: "1", "STEREOGS_DEVICE": self.device, **self.fetch()}
 
 
 def selected(folder: Path, library: Path, libraries: Path) -> dict[str, str]:

@@ -128,13 +128,9 @@ def test_default_schedules_fit_every_length(iterations: int) -> None:
         assert calls or iterations < 400, f"{label(offer)} is never due"
 
 
-SAMPLE = ("gradient_aware_decay", "depth_smoothness")
-"""Those that were a trap when every component was called in each iteration by default."""
-
-
-@pytest.mark.parametrize("offer", [o for o in OFFERS if o.name in SAMPLE], ids=label)
-def test_a_bare_name_does_not_spoil_plain_3dgs(offer: Offer) -> None:
-    check(offer)
+def test_a_bare_name_does_not_spoil_plain_3dgs() -> None:
+    """A trap when every component was called in each iteration by default."""
+    check(next(offer for offer in OFFERS if offer.name == "gradient_aware_decay"))
 
 
 @pytest.mark.proof

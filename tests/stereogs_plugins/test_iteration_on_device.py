@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from core_rasterizer import Device, GaussianModel, open_device
+from core_rasterizer.device import Variant
 from registry.testing import tiny_scene
 from tests.core_rasterizer.traffic import Traffic, counted
-from tests.host import Parts, Plugins, Trainer, Variant, initial_gaussians, parse_pipeline
+from tests.host import Parts, Plugins, Trainer, initial_gaussians, parse_pipeline
 
 PIPELINE = """\
 name: t

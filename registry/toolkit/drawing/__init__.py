@@ -13,7 +13,9 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import (
+        quarter_turns as quarter_turns,
         smooth_path as smooth_path,
+        turned as turned,
         upright_rotation as upright_rotation,
         upwards as upwards,
     )

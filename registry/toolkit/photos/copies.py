@@ -69,10 +69,20 @@ class Impression(NamedTuple):
         return cls(np.asarray(grey), flat, _steepness(square))
 
     @property
-    def contrast(self) -> float:
-        """Root mean square of the slopes of `picture`: at least 0.99 times that of a photograph in a JPEG or
-        WebP of it, at most 0.9 times in renders of 20 to 25 dB."""
-        return _steepness(self.picture.astype(float))
+    def sharpness(self) -> float:
+        """Root mean square of the slopes of `picture`, in units of its standard deviation by pixel.
+
+        Compared with a photograph, at least 0.98 in a JPEG or WebP of it, and 0.9 at most in renders of 20 to
+        25 dB.
+        """
+        return _steepness(_normal(self.picture))
+
+    def turned(self, quarters: int) -> Impression:
+        """Return the impression after counterclockwise quarter turns."""
+        import numpy as np
+
+        square = np.rot90(self.square.reshape(_SIDE, _SIDE), quarters).ravel()
+        return self._replace(picture=np.rot90(self.picture, quarters), square=square)
 
     def is_copy_of(self, other: Impression) -> bool:
         """Return whether two photographs show the same; False for pictures without texture."""

@@ -125,9 +125,8 @@ def _default_test_every(count: int) -> int:
     """Return the spacing of test views among `count` photographs; 0 gives no test views."""
     if count < HELD_OUT_EVERY:
         _log.info(
-            "%d photographs, fewer than %d: all train, and scores are those of training photographs; "
-            "--test-every 3 holds out every third",
-            *(count, HELD_OUT_EVERY),
+            "%d photographs, fewer than %d: all train; --test-every %d holds out every %dth",
+            *(count, *[HELD_OUT_EVERY] * 3),
         )
         return 0
     _log.info(

@@ -16,8 +16,11 @@ from registry.pipeline.parts import build_part, load_scene
 from ..planning.plan import PlannedRun
 
 
-def check_scenes(runs: Sequence[PlannedRun], device: Device, plugins: Plugins) -> None:
+def check_scenes(runs: Sequence[PlannedRun], device: Device, plugins: Plugins) -> list[str]:
     """Load the scene of each run, equal ones once. What loaders cache, the trainings use again.
+
+    Returns:
+        A warning for each scene without test views.
 
     Raises:
         RunError: scenes cannot be loaded; contains the first error.
@@ -27,22 +30,29 @@ def check_scenes(runs: Sequence[PlannedRun], device: Device, plugins: Plugins) -
         item = run.pipeline.one(SCENE.section)
         distinct.setdefault((item.offer.name, item.settings.model_dump_json()), run)
     failures: list[tuple[str, ExplainedError]] = []
+    without_test = []
     for run in distinct.values():
         try:
             with one_torch_thread():
-                load_scene(build_part(run.pipeline.one(SCENE.section), run.seed, device))
+                scene = load_scene(build_part(run.pipeline.one(SCENE.section), run.seed, device))
         except ExplainedError as error:
             failures.append((run.scene, error))
+            continue
+        if not scene.test:
+            without_test.append(
+                f"the scene {run.scene} has no test views, so its runs have no scores of new views; "
+                "--set scene.test_every=8 holds out every 8th photograph"
+            )
     if not failures:
-        return
-    scene, first = failures[0]
+        return without_test
+    label, first = failures[0]
     fix = first.fix
     with suppress(PluginError):
-        plugins.find(SCENE, scene)
-        fix = f"{fix}; the loader of this name is written {{use: {scene}}}"
+        plugins.find(SCENE, label)
+        fix = f"{fix}; the loader of this name is written {{use: {label}}}"
     raise RunError(
         f"{len(failures)} of {counted(len(distinct), 'scene')} cannot be loaded, so nothing is trained; "
-        f"the first is {scene!r}: {first.what}",
+        f"the first is {label!r}: {first.what}",
         where=first.where,
         fix=fix,
     ) from first

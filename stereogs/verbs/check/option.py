@@ -45,8 +45,8 @@ def add_photo_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=_test_every,
         metavar="N",
-        help="hold out every N-th photograph and score new views with it; 0 holds out none (default: 8, and "
-        "0 for fewer than eight photographs; data sets of papers have their own)",
+        help="hold out every N-th photograph and score new views with it; 0 holds out none (default: 0; for "
+        "data sets with cameras 8, or 0 for fewer than eight photographs)",
     )
 
 

@@ -89,13 +89,20 @@ class Guard:
             return "This page is served to this computer only."
         if any(origin != f"http://{hosts[0]}" for origin in origins):
             return "Another web page asked for this scene."
+        if request.path.startswith(
+            "//"
+        ):  # a host in place of a path, which viser would try to read
+            return "There is no such page."
         if not self._has_token(request) and not self._has_cookie(request):
             return "Open the whole address that the command printed, with its token."
         return ""
 
     def _has_token(self, request: Request) -> bool:
-        given = parse_qs(urlsplit(request.path).query).get("token", [""])[-1]
-        return self._is_token(given)
+        try:
+            query = urlsplit(request.path).query
+        except ValueError:  # such as //[
+            return False
+        return self._is_token(parse_qs(query).get("token", [""])[-1])
 
     def _has_cookie(self, request: Request) -> bool:
         for header in request.headers.get_all("Cookie"):

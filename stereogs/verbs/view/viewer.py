@@ -81,6 +81,8 @@ class Viewer:
             bounds=_bounds(subject),
             on_look=self._request_all,
             on_cameras=self._show_cameras,
+            back="Back to the photographs" if subject.viewpoints else "Back to the start",
+            on_back=lambda client: self._go_to_start(client, start),
         )
         self._controls.status.content = f"{subject.model.count:,} Gaussians"
         self._set_start(start)
@@ -204,6 +206,13 @@ class Viewer:
         if look.box is not None:
             self._box = add_box(self._server, look.box, self._unit)
 
+    def _go_to_start(self, client: Any, pose: StartPose) -> None:
+        """Place one browser's camera where the page opened."""
+        with client.atomic():
+            client.camera.up_direction = tuple(pose.up)
+            client.camera.position = tuple(pose.position / self._unit)
+            client.camera.look_at = tuple(pose.look_at / self._unit)
+
     def _set_start(self, pose: StartPose) -> None:
         self._server.scene.set_up_direction(pose.up)
         start = self._server.initial_camera
@@ -221,6 +230,8 @@ class _Controls:
         bounds: lowest and highest corner of the crop box, world units.
         on_look: called when the image must be rendered again.
         on_cameras: called with True to show the cameras, False to hide them.
+        back: label of the button that places the camera where the page opened.
+        on_back: called with the client that pressed it.
     """
 
     def __init__(
@@ -232,9 +243,12 @@ class _Controls:
         bounds: Bounds,
         on_look: Callable[[], None],
         on_cameras: Callable[[bool], None],
+        back: str,
+        on_back: Callable[[Any], None],
     ) -> None:
         gui = server.gui
         self.status = gui.add_markdown("")
+        gui.add_button(back).on_click(lambda event: on_back(event.client))
         self._channel = gui.add_dropdown("Show", tuple(channels), initial_value=channels[0])
         cameras = gui.add_checkbox("Cameras", False)
         cameras.on_update(lambda _: on_cameras(cameras.value))

@@ -9,9 +9,6 @@ if TYPE_CHECKING:
 
     from registry import Fact, Scene
 
-_SETTING = "scene.test_every=8"
-"""A setting of the loaders of photographs."""
-
 
 def lead(results: Mapping[str, Any], scene: Scene) -> str:
     """Return what was made from what, in how long, and how good it is, in one or two sentences."""
@@ -21,7 +18,8 @@ def lead(results: Mapping[str, Any], scene: Scene) -> str:
         text += f", trained in {seconds(results['seconds'])}"
     if "device" in results:
         text += f" on {results['device'].get('name')}"
-    return f"{text}."
+    hurried = results.get("initialization", {}).get("hurried", "")
+    return f"{text}. {label(hurried)}" if hurried else f"{text}."
 
 
 def kind_of_scores(scene: Scene) -> str:
@@ -33,7 +31,7 @@ def kind_of_scores(scene: Scene) -> str:
         )
     return (
         "Every photograph was trained on, so scores are of training photographs: they do not measure how "
-        f"well other views are rendered. To hold every 8th photograph out: --set {_SETTING}."
+        "well other views are rendered. To measure that, --test-every 8 holds out every 8th photograph."
     )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Scene, SceneLoader
+from registry import Fact, Scene, SceneLoader, View
 from registry.toolkit import counted
 from registry.toolkit.photos import (
     ColmapModel,
@@ -36,6 +37,9 @@ _log = logging.getLogger("stereogs.photos")
 class PhotosSettings(SplitSettings):
     path: Path
     """Path of the folder of photographs."""
+    test_every: int | None = Field(0, ge=0)
+    """Every N-th photograph of the sorted list is a test view, starting with the first; 0 gives no test
+    views. null means 8, and 0 for fewer than eight photographs."""
     require_all_photos: bool = False
     """Raise an error if a photograph does not connect to the others; false leaves it out with a warning."""
     max_size: int = Field(800, ge=16)
@@ -91,7 +95,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         photos = [placed[index] for index in train + test]
         decoder = Decoder(longest_side(settings.max_size), settings.resize_filter, upright=True)
         _warn_of_transparency(found, decoder)
-        loaded = LoadedPhotos.load(photos, decoder, train, test)
+        _warn_of_grey(found)
+        loaded, turned = _turned_upright(LoadedPhotos.load(photos, decoder, train, test))
         tracks = model.tracks()
         tracks.check(len(placed), str(folder))
         points = tracks.seen_by(train)
@@ -105,6 +110,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
+            *([Fact("turned_without_exif", ", ".join(turned))] if turned else ()),
             Fact("focal_lengths_by_exif", by_exif),
             *_facts_of_left_out(folder, other_files, [names[k] for k in group.left_out]),
             *loaded.split_facts(rule, len(placed)),
@@ -151,6 +157,35 @@ def _names(found: list[UnposedPhoto]) -> list[str]:
     ]
 
 
+def _turned_upright(loaded: LoadedPhotos) -> tuple[LoadedPhotos, list[str]]:
+    """Turn photographs on their side or upside down as the others are; also return their names.
+
+    They are few: pictures that were taken straight down have no upright side.
+    """
+    import torch
+
+    from registry.toolkit.drawing import quarter_turns, turned, upwards
+
+    views = loaded.views
+    up = upwards([view.camera for view in views])
+    quarters = [quarter_turns(view.camera, up) for view in views]
+    if not 0 < len(views) - quarters.count(0) <= max(1, len(views) // 4):
+        return loaded, []
+
+    def upright(view: View, count: int) -> View:
+        assert view.mask is None  # this loader has none
+        alpha = None if view.alpha is None else torch.rot90(view.alpha, count).contiguous()
+        image = torch.rot90(view.image, count).contiguous()
+        return replace(view, camera=turned(view.camera, count), image=image, alpha=alpha)
+
+    names = [view.name for view, count in zip(views, quarters, strict=True) if count]
+    _log.warning(
+        "on their side or upside down, without EXIF data that say so, and turned as the others are: %s",
+        ", ".join(names),
+    )
+    return replace(loaded, views=[*map(upright, views, quarters)]), names
+
+
 def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
     transparent = [photo.name for photo in found if photo.transparent]
     if transparent:
@@ -158,6 +193,16 @@ def _warn_of_transparency(found: list[UnposedPhoto], decoder: Decoder) -> None:
         _log.warning(
             "transparent pixels in %d of %d pictures, %s first, are laid on the background (%s)",
             *(len(transparent), len(found), transparent[0], color),
+        )
+
+
+def _warn_of_grey(found: list[UnposedPhoto]) -> None:
+    grey = [photo.name for photo in found if photo.grey]
+    if 0 < len(grey) < len(found):
+        _log.warning(
+            "%d of %d photographs have no colours, %s first, and the scene's colours become paler: remove "
+            "them, or make all grey",
+            *(len(grey), len(found), grey[0]),
         )
 
 

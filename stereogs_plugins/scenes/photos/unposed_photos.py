@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from registry import SceneError
 from registry.toolkit.photos import Impression, Size, open_8_bit, upright_size
 from registry.toolkit.progress import in_parallel
@@ -22,8 +24,12 @@ _MAKE, _MODEL, _EXIF_BLOCK = 0x010F, 0x0110, 0x8769
 _FOCAL_MM, _FOCAL_35MM, _PIXELS_WIDE = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_DENSITY, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}
+_ANIMATIONS = ("WEBP", "PNG")
+"""Formats whose further pictures are frames; those of JPEG and TIFF are previews or sizes of the first."""
+_COLOR_SIZE, _MAX_CHROMA = 32, 4
+"""Size of the picture that is searched for colours, and largest difference of its channels in a grey one."""
 _SHARPER = 1.05
-"""Ratio of contrasts from which a picture is sharper than its copy, see `Impression.contrast`."""
+"""Ratio of sharpness from which a picture is sharper than its copy, see `Impression.sharpness`."""
 _DIAGONAL_35MM = math.hypot(36, 24)
 """Diagonal of a 35 mm frame in millimetres; equivalent focal lengths compare diagonals (CIPA DCG-001)."""
 
@@ -41,6 +47,7 @@ class UnposedPhoto:
         camera: make and model by EXIF; empty if unknown.
         digest: hash of the file's bytes.
         transparent: True if some pixels are not opaque.
+        grey: True if it has no colours.
         impression: recognizes copies.
     """
 
@@ -52,6 +59,7 @@ class UnposedPhoto:
     camera: str
     digest: str
     transparent: bool
+    grey: bool
     impression: Impression = field(compare=False, repr=False)
 
 
@@ -103,21 +111,29 @@ def read_folder(folder: Path) -> PictureFolder:
 def _without_copies(photos: list[UnposedPhoto]) -> tuple[list[UnposedPhoto], list[LeftOut]]:
     """Return the best one of each photograph, and the others.
 
-    The best has most pixels, then a focal length, then most bytes. A render, which is less sharp than the
-    photograph of the same size, is not the best, whatever it has.
+    The best has most pixels, then colours, then a focal length, then most bytes. A render, which is less
+    sharp than the photograph of the same size, is not the best, whatever it has.
     """
     kept: list[UnposedPhoto] = []
     copies: list[tuple[UnposedPhoto, int]] = []
     for photo in sorted(photos, key=_worth):
-        place = next((k for k, other in enumerate(kept) if _are_copies(photo, other)), None)
+        # A copy may be stored on its side.
+        turns = [photo.impression.turned(quarters) for quarters in range(4)]
+        place = next(
+            (
+                k
+                for k, other in enumerate(kept)
+                if photo.digest == other.digest
+                or any(one.is_copy_of(other.impression) for one in turns)
+            ),
+            None,
+        )
         if place is None:
             kept.append(photo)
             continue
         best = kept[place]
-        if (
-            photo.size == best.size
-            and photo.impression.contrast > _SHARPER * best.impression.contrast
-        ):
+        of_one_kind = (photo.size, photo.grey) == (best.size, best.grey)
+        if of_one_kind and photo.impression.sharpness > _SHARPER * best.impression.sharpness:
             kept[place], photo = photo, best
         copies.append((photo, place))
     left_out = [LeftOut(photo.path, _copy_of(kept[place], photo)) for photo, place in copies]
@@ -128,11 +144,7 @@ def _worth(photo: UnposedPhoto) -> tuple[Any, ...]:
     """Order of copies, the best first."""
     width, height = photo.size
     size = photo.path.stat().st_size
-    return -width * height, photo.focal is None, -size, len(photo.name), photo.name
-
-
-def _are_copies(first: UnposedPhoto, second: UnposedPhoto) -> bool:
-    return first.digest == second.digest or first.impression.is_copy_of(second.impression)
+    return -width * height, photo.grey, photo.focal is None, -size, len(photo.name), photo.name
 
 
 def _copy_of(best: UnposedPhoto, photo: UnposedPhoto) -> str:
@@ -152,11 +164,21 @@ def _read(path: Path, name: str) -> UnposedPhoto | LeftOut:
             ).strip()
             focal = _focal_length(exif.get_ifd(_EXIF_BLOCK), file.size)
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            if getattr(file, "is_animated", False) and file.format in _ANIMATIONS:
+                return LeftOut(path, "an animation, not a photograph")
             impression = Impression.of(file)  # decodes it, which finds damage
             transparent = file.has_transparency_data and _has_clear_pixels(file)
     except SceneError as error:
         return LeftOut(path, error.what)
-    return UnposedPhoto(path, name, size, turned, focal, camera, digest, transparent, impression)
+    return UnposedPhoto(
+        path, name, size, turned, focal, camera, digest, transparent, _is_grey(file), impression
+    )
+
+
+def _is_grey(file: Image.Image) -> bool:
+    small = file.convert("RGB").resize((_COLOR_SIZE, _COLOR_SIZE), reducing_gap=2)
+    red, green, blue = (np.asarray(channel, dtype=int) for channel in small.split())
+    return int(max(abs(red - green).max(), abs(green - blue).max())) <= _MAX_CHROMA
 
 
 def _has_clear_pixels(file: Image.Image) -> bool:

@@ -171,6 +171,17 @@ def test_matches_are_checked_and_cached_between_views(cache: Path) -> None:
     assert prior.calls == 1
 
 
+def test_matches_outside_their_own_image_are_dropped() -> None:
+    class Right(MatchingPrior[Settings]):
+        def estimate(self, first: Tensor, second: Tensor) -> Matches:
+            points = torch.tensor([[1.0, 1.0], [7.0, 1.0]])
+            return Matches(points, points, torch.ones(2))
+
+    small, large = torch.zeros(4, 5, 3), torch.zeros(4, 9, 3)
+    for images in ((small, large), (large, small)):
+        assert built(Right).matches(*images).first.tolist() == [[1, 1]]
+
+
 class Crooked(MatchingPrior[Settings]):
     def estimate(self, first: Tensor, second: Tensor) -> Matches:
         return Matches(torch.zeros(3, 2), torch.zeros(2, 2), torch.zeros(3))

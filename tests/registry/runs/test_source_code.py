@@ -33,6 +33,8 @@ def test_the_commit_and_whether_the_packages_differ_from_it(tmp_path: Path) -> N
     assert checkout(tmp_path) == {"commit": commit, "dirty": False}
     code.with_name("new.py").write_text("2")
     assert checkout(tmp_path) == {"commit": commit, "dirty": True}
+    (tmp_path / "runs" / ".git").write_text("gitdir: nowhere")
+    assert checkout(tmp_path / "runs") is None
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a checkout")

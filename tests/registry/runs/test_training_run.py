@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import sys
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 from core_rasterizer import Device, ExplainedError, load_ply
-from registry import Fact, PluginError, RunError, SceneError
+from registry import Fact, PluginError, RunError, Scene, SceneError
 from registry.runs.folder import METRICS, RunFolder
 from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
@@ -80,7 +81,16 @@ def test_facts_of_components_do_not_replace_those_of_the_host(
     load, initialize = ToyScene.load, ToyPoints.initialize
     facts = (Fact("width", 7), Fact("test", "none"), Fact("paint", 3, affects_scores=False))
     points = {"seconds": -1.0, "tries": 2}
-    monkeypatch.setattr(ToyScene, "load", lambda self: replace(load(self), facts=facts))
+
+    def with_facts(loader: ToyScene) -> Scene:
+        """With a second photograph of half the size."""
+        scene = load(loader)
+        first, view = scene.train
+        image, camera = view.image[::2, ::2].contiguous(), view.camera.resized(16, 12)
+        half = replace(view, camera=camera, image=image, depth=None)
+        return replace(scene, train=(first, half), facts=facts)
+
+    monkeypatch.setattr(ToyScene, "load", with_facts)
     monkeypatch.setattr(
         ToyPoints,
         "initialize",
@@ -215,6 +225,27 @@ def test_opening_a_run_loads_the_scene_with_its_settings(
     opened = load_run(folder.path, plugins=toys, device=device)
     assert opened.scene.test == ()
     assert opened.model.digest() == folder.results()["hash"]
+
+
+def test_lines_about_photographs_are_printed_by_trainings_only(
+    toys: Plugins,
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    folder, _, _ = run(toys, device, tmp_path / "run")
+    load = ToyScene.load
+
+    def advise(self: ToyScene) -> Any:
+        logging.getLogger("toys").warning("photograph more")
+        return load(self)
+
+    monkeypatch.setattr(ToyScene, "load", advise)
+    load_run(folder.path, plugins=toys, device=device, to_train=False)
+    assert "photograph more" not in caplog.text
+    load_run(folder.path, plugins=toys, device=device)
+    assert "photograph more" in caplog.text
 
 
 def test_the_demo_pipeline_trains_with_the_installed_plugins(

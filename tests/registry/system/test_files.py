@@ -25,6 +25,15 @@ def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_file_is_on_the_disk_before_it_gets_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named: list[bool] = []
+    monkeypatch.setattr("os.fsync", lambda descriptor: named.append((tmp_path / "a").exists()))
+    write_text(tmp_path / "a", "text")
+    assert named == [False]
+
+
 def test_a_folder_that_cannot_be_filled_is_removed(tmp_path: Path) -> None:
     def fail() -> None:
         with new_folder(tmp_path / "x") as folder:

@@ -9,7 +9,7 @@ import sys
 import torch
 
 from registry.system import memory
-from registry.system.memory import available_bytes, peak_memory_mb, resident_bytes
+from registry.system.memory import available_bytes, memory_added, peak_memory_mb, resident_bytes
 
 BLOCK_MB = 400
 
@@ -35,3 +35,10 @@ def test_resident_bytes_grow_with_allocated_pages() -> None:
         pages.write(bytes([1]) * size)
         assert 0.9 * size < resident_bytes() - before < 2.5 * size
     assert 1e6 < available_bytes() < 1e14
+
+
+def test_added_memory_is_that_of_the_block() -> None:
+    with memory_added() as added, mmap.mmap(-1, 100_000_000) as pages:
+        pages.write(bytes([1]) * 100_000_000)
+    assert added.megabytes is not None
+    assert 90 < added.megabytes < 250

@@ -80,7 +80,8 @@ def test_the_thread_of_the_host_is_not_attributed_to_the_component() -> None:
     """In a new process: the first watched call starts the host's thread."""
     code = (
         "from tests.registry.toy_plugin import ToyTerm\n"
-        "from registry.testing import check\n"
+        "from registry.testing import check, processes\n"
+        "processes.SEEDS = ()\n"
         "import logging\nlogging.basicConfig(level='WARNING')\n"
         "check(ToyTerm)"
     )

@@ -70,6 +70,32 @@ def test_a_term_with_an_undefined_gradient_is_named(
     assert "p.yaml:6, iteration 2" in error.where
 
 
+@pytest.mark.parametrize(
+    ("raised", "expected", "what"),
+    [
+        (ValueError("once"), ValueError, "once"),
+        (SystemExit(1), r.RunError, "the backward pass ended with SystemExit"),
+    ],
+)
+def test_a_failure_that_no_term_repeats_is_raised_as_it_is(
+    fail: Any, monkeypatch: Any, raised: BaseException, expected: type[Exception], what: str
+) -> None:
+    left = [raised]
+
+    def once(gradient: Tensor) -> None:
+        if left:
+            raise left.pop()
+
+    def loss(self: object, step: r.Step) -> Tensor:
+        alpha = step.rendering.alpha.mean()
+        alpha.register_hook(once)
+        return alpha
+
+    monkeypatch.setattr("tests.registry.toy_plugin.ToyTerm.loss", loss)
+    with pytest.raises(expected, match=what):
+        raise fail("regularizers: [toy_term]\n")
+
+
 def test_a_loss_on_parameters_names_the_gaussian(fail: Any, monkeypatch: Any) -> None:
     def loss(self: object, step: r.Step) -> Tensor:
         return (step.parameter("opacities") * 0).sqrt().sum()

@@ -13,7 +13,14 @@ import stereogs.quality.rehearsal as rehearsal
 from core_rasterizer import Device
 from registry import Scene
 from stereogs import Pipeline, Run, RunOptions
-from stereogs.quality.fitting import MIN_ITERATIONS, Budget, Fit, WithinSeconds, WithQuality
+from stereogs.quality.fitting import (
+    FEW_ITERATIONS,
+    MIN_ITERATIONS,
+    Budget,
+    Fit,
+    WithinSeconds,
+    WithQuality,
+)
 from stereogs.quality.table import (
     LONG,
     QUALITIES,
@@ -87,6 +94,7 @@ def test_a_run_takes_its_seconds_and_can_be_repeated(
     fit = WithinSeconds(said.append, budget=budget)
     run = trained(pipeline(toys), device, tmp_path / "run", fit)
     assert MIN_ITERATIONS < run.iteration < 400
+    assert ("hurried" in run.initialization) == (run.iteration < FEW_ITERATIONS)
     assert budget.spent == pytest.approx(seconds, rel=0.1)
     assert f"{SHORT}, {run.iteration} iterations" in said[0]
     expected = float(said[-1].rpartition("= ")[2].removesuffix(" s"))
@@ -118,6 +126,10 @@ def test_too_few_seconds_train_the_least_and_end_late(
     assert wanted == "3 s, because"
     assert float(took) > 3
     assert f"{MIN_ITERATIONS} iterations took" in reasons[2]
+    hurried = run.folder_or_refuse().results()["initialization"]["hurried"]
+    assert hurried.startswith("hurried: --seconds 3 left time for ")
+    assert f"and {MIN_ITERATIONS} iterations; without --seconds" in hurried
+    assert hurried in reasons
     assert max(map(len, said)) <= 80
 
 

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from core_rasterizer import Camera, ExplainedError
-from registry import PointCloud, Scene, SceneError, View
+from registry import PointCloud, SceneError
 from registry.testing import tiny_scene
 from stereogs.verbs.check.facts import facts
 from stereogs.verbs.check.scene_picture import (
@@ -21,18 +21,9 @@ from stereogs.verbs.check.scene_picture import (
     make_plan,
     scene_picture,
 )
-from tests.host import (
-    Plugins,
-    main,
-    parse_command,
-    points_in_view,
-    recognize,
-    round_step,
-    summary,
-    typical_depth,
-    warnings,
-)
+from tests.host import Plugins, main, parse_command, recognize
 from tests.registry.conftest import TOY_ENTRIES, Install
+from tests.registry.training.test_scene_facts import camera, scene_of, wall
 
 Capture = pytest.CaptureFixture[str]
 LOADERS = '''
@@ -176,30 +167,6 @@ def test_a_loader_that_recognizes_no_folder_is_never_chosen(toys: Plugins, tmp_p
     assert "toy_scene" not in caught.value.what
 
 
-def camera(x: float = 0.0, degrees: float = 0.0) -> Camera:
-    """At `(x, 0, 0)`, turned to the right of +z."""
-    angle = np.radians(degrees)
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = torch.tensor(
-        [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
-    )
-    pose[:3, 3] = -pose[:3, :3] @ torch.tensor([x, 0.0, 0.0], dtype=torch.float64)
-    return Camera(pose, 40, 40, 16, 12, 32, 24)
-
-
-def scene_of(*cameras: Camera, points: PointCloud | None = None) -> Scene:
-    views = [View(f"v{k}", c, torch.full((24, 32, 3), 0.5)) for k, c in enumerate(cameras)]
-    return Scene("made", tuple(views), (), (1.0, 4.0), points=points)
-
-
-def wall(count: int, depth: float = 2.0) -> PointCloud:
-    """Points close to the optical axis of a camera at the origin."""
-    positions = torch.zeros(count, 3)
-    positions[:, 0] = torch.linspace(-0.1, 0.1, count)
-    positions[:, 2] = depth
-    return PointCloud(positions, torch.full((count, 3), 0.5))
-
-
 def test_facts() -> None:
     scene = tiny_scene()
     lens = replace(scene.test[0].camera, fx=50.0, cx=17.0)
@@ -214,49 +181,6 @@ def test_facts() -> None:
     assert found["depth"] == "1.5 .. 5"
     assert found["points"].startswith("60; ")
     assert found["true depth"] == "3 of 3 views"
-
-
-def test_the_summary_line_before_training() -> None:
-    assert summary(tiny_scene()) == (
-        "tiny: 2 training views, 1 test view, 32x24, depth 1.5 .. 5, 60 points"
-    )
-
-
-def test_a_good_scene_has_no_warning() -> None:
-    assert warnings(scene_of(camera(-0.2), camera(0.2), points=wall(200))) == []
-
-
-def test_points_outside_and_behind_are_not_counted() -> None:
-    points = PointCloud(
-        torch.tensor([[0.0, 0, 2], [0, 0, -2], [5, 0, 2], [0.7, 0.5, 2]]), torch.zeros(4, 3)
-    )
-    scene = scene_of(camera(), points=points)
-    assert points_in_view(scene, scene.train[0]) == 2
-    assert typical_depth(scene) == 2
-
-
-@pytest.mark.parametrize(
-    ("scene", "expected"),
-    [
-        (scene_of(camera(-0.2), camera(0.2)), []),
-        (scene_of(camera(-0.2), camera(0.2), points=wall(50)), ["only 50 sparse points"]),
-        (
-            scene_of(camera(-0.2), camera(0.2, 60), points=wall(200)),
-            ["v1 has only 0", "v0 looks 60 degrees", "v1 looks 60 degrees"],
-        ),
-        (
-            scene_of(camera(0.0), camera(0.01), camera(1.0), points=wall(200, depth=8.0)),
-            ["v0 and v1 were taken from nearly one place: 0.12%"],
-        ),
-        (scene_of(camera(), points=wall(200)), ["a single training view"]),
-    ],
-    ids=["no points", "few points", "wide apart", "one place", "one view"],
-)
-def test_warnings(scene: Scene, expected: list[str]) -> None:
-    found = warnings(scene)
-    assert len(found) == len(expected)
-    for text, part in zip(found, expected, strict=True):
-        assert part in text
 
 
 def test_the_contact_sheet_frames_the_split_in_two_colours() -> None:
@@ -310,11 +234,6 @@ def test_odd_scenes_can_be_drawn(rotation: str) -> None:
         cameras = [camera()]
     picture = scene_picture(scene_of(*cameras))
     assert torch.isfinite(picture).all()
-
-
-@pytest.mark.parametrize(("wanted", "step"), [(0.9, 1), (1, 1), (1.1, 2), (2.1, 5), (0.06, 0.1)])
-def test_steps_are_round(wanted: float, step: float) -> None:
-    assert round_step(wanted) == pytest.approx(step)
 
 
 def test_far_points_do_not_shrink_the_cameras() -> None:

@@ -1,4 +1,7 @@
-"""`ray`: results land whole and once, whatever happens to workers."""
+"""`ray`: results land whole and once, whatever happens to workers.
+
+Tests of `stereogs.experiments`, which import its modules.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,12 @@ import pytest
 from rich.console import Console
 
 from core_rasterizer import Device, open_device
+from stereogs.experiments.planning.matrix import plan_of, read_matrix
+from stereogs.experiments.planning.plan import Plan as MatrixPlan
+from stereogs.experiments.running.folder import ExperimentFolder
+from stereogs.experiments.running.pool import Outcome, PoolProgress, choose_runner, train_all
 from stereogs_plugins.runners.ray_cluster import extract
-from tests.host import (
-    SELECTION,
-    ExperimentFolder,
-    MatrixPlan,
-    Outcome,
-    Plugins,
-    PoolProgress,
-    choose_runner,
-    parse_yaml,
-    plan_of,
-    read_matrix,
-    train_all,
-)
+from tests.host import SELECTION, Plugins, parse_yaml
 
 SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
 PIPELINE = f"""\

@@ -248,8 +248,8 @@ def points_of_other_images(folder: Path) -> None:
         (cropped_images, "another shape", "poses_bounds.npy, row "),
         (broken_image, "cannot be read", "photo_01.png"),
         (nan_pose, "nan in column 6", "poses_bounds.npy, row 1"),
-        (lambda folder: change_row(folder, 4, -12), "height is -12", "poses_bounds.npy, row 1"),
-        (lambda folder: change_row(folder, 9, -16), "width is -16", "poses_bounds.npy, row 1"),
+        (lambda folder: change_row(folder, 4, -12), "the height is -12", "poses_bounds.npy, row 1"),
+        (lambda folder: change_row(folder, 9, -16), "the width is -16", "poses_bounds.npy, row 1"),
         (
             lambda folder: change_row(folder, 14, -40),
             "focal length is -40",

@@ -31,7 +31,8 @@ else:
         """pycolmap takes long to import; it logs missing models as errors, which disconnected.py explains."""
 
         def __getattr__(self, name: str) -> Any:
-            return getattr(import_pycolmap(least_severity=3), name)
+            value = self.__dict__[name] = getattr(import_pycolmap(least_severity=3), name)
+            return value
 
     pycolmap = _OnFirstUse()
 

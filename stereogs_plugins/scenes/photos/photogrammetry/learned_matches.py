@@ -17,9 +17,11 @@ from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel, mo
 from registry.toolkit.progress import tracked
 
 from . import thresholds
-from .colmap import image_index, image_name, open_database
+from .colmap import image_index, image_name, open_database, verified_pairs, verify_matches
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
 Scalar = TypeVar("Scalar", np.float32, np.uint32)
@@ -39,14 +41,20 @@ def known_files() -> tuple[Path, ...] | None:
     return model_files(FINDER[0], MATCHER[0])
 
 
-def add_learned_matches(files: tuple[Path, ...], images: Path, sift: Path, database: Path) -> None:
-    """Fill a database with unverified keypoints and matches of SIFT and the networks.
+def add_learned_matches(
+    files: tuple[Path, ...], images: Path, sift: Path, database: Path, connected: Collection[int]
+) -> None:
+    """Fill a database with keypoints and verified matches of SIFT and the networks.
+
+    The photographs that SIFT connects are matched with the others first, and with each other only if that
+    has any success: one photograph of another place does not cost the matching of all pairs.
 
     Args:
         files: result of `known_files`.
         images: folder of the upright photographs, named by index.
         sift: database with the keypoints and matches of SIFT.
         database: database with the same photographs only.
+        connected: indices of photographs that SIFT connects.
 
     Raises:
         PluginError: a file does not match its hash, or cannot be run.
@@ -66,11 +74,17 @@ def add_learned_matches(files: tuple[Path, ...], images: Path, sift: Path, datab
         for k, keypoints in found.items():
             opened.write_keypoints(here[k], _joined(before[k], keypoints.points.numpy()))
         pairs = list(combinations(found, 2))
-        for first, second in tracked(pairs, "matching"):
-            rows, _ = networks.match(found[first], found[second], thresholds.MIN_SCORE)
-            new = rows.numpy() + np.array([len(before[first]), len(before[second])])
-            old = known.read_matches(there[first], there[second])
-            opened.write_matches(here[first], here[second], _joined(old, new))
+        known_well = [pair for pair in pairs if {*pair} <= {*connected}]
+        for part in ([pair for pair in pairs if pair not in known_well], known_well):
+            for first, second in tracked(part, "matching"):
+                rows, _ = networks.match(found[first], found[second], thresholds.MIN_SCORE)
+                new = rows.numpy() + np.array([len(before[first]), len(before[second])])
+                old = known.read_matches(there[first], there[second])
+                opened.write_matches(here[first], here[second], _joined(old, new))
+            verify_matches(database)
+            most = max((len(pair.matches) for pair in verified_pairs(opened)), default=0)
+            if most < thresholds.MIN_CHECKED or not known_well:
+                break
 
 
 def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:

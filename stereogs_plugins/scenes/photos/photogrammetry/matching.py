@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
@@ -31,12 +31,13 @@ class Matching(NamedTuple):
     Args:
         name: for messages and folders.
         trust: matches that connect two photographs.
-        fill: adds keypoints, matches and two-view geometries to a database with photographs.
+        fill: adds keypoints, matches and two-view geometries to a database with photographs; takes
+            the indices of the photographs that were connected before.
     """
 
     name: str
     trust: Trust
-    fill: Callable[[Path], None]
+    fill: Callable[[Path, Collection[int]], None]
 
 
 def matchings(images: Path, folder: Path, count: int) -> list[Matching]:
@@ -48,8 +49,8 @@ def matchings(images: Path, folder: Path, count: int) -> list[Matching]:
         count: number of photographs.
     """
 
-    def sift(pooled: bool) -> Callable[[Path], None]:
-        def fill(database: Path) -> None:
+    def sift(pooled: bool) -> Callable[[Path, Collection[int]], None]:
+        def fill(database: Path, connected: Collection[int]) -> None:
             with rows_reported(database, _photos_with_keypoints, "features", count):
                 extract_sift(database, images, pooled)
             with rows_reported(database, _matched_pairs, "matching", count * (count - 1) // 2):
@@ -64,9 +65,9 @@ def matchings(images: Path, folder: Path, count: int) -> list[Matching]:
     files = known_files()
     if files is not None:
 
-        def networks(database: Path) -> None:
-            add_learned_matches(files, images, folder / found[0].name / MATCHES, database)
-            verify_matches(database)
+        def networks(database: Path, connected: Collection[int]) -> None:
+            known = folder / found[0].name / MATCHES
+            add_learned_matches(files, images, known, database, connected)
 
         found.append(Matching("SIFT with ALIKED and LightGlue", thresholds.LEARNED_TRUST, networks))
     return found
@@ -84,7 +85,7 @@ def _matched_pairs(database: Database) -> int:
 def without_exif(folder: Path, matching: Matching) -> Matching:
     """Return the keypoints and matches that were found before, to be verified again for other lenses."""
 
-    def fill(database: Path) -> None:
+    def fill(database: Path, connected: Collection[int]) -> None:
         known = folder / matching.name / MATCHES
         with open_database(known) as old, open_database(database) as new:
             there = {image.name: image.image_id for image in old.read_all_images()}

@@ -100,7 +100,8 @@ def reconstruct(
     best: Reconstruction | None = None
     tried: list[str] = []
     for matching in matchings(images, folder, len(photos)):
-        found = search.run(matching, used)
+        connected = best.pieces[0].members if best and best.pieces else []
+        found = search.run(matching, used, connected)
         tried.append(matching.name)
         # Matches that place no photograph are not meaningful; they may be noise.
         if best is None or (found.pieces and found.rank > best.rank):
@@ -108,7 +109,7 @@ def reconstruct(
         if used is photos and _may_have_wrong_exif(best, photos):
             again = without_exif(folder, matching)
             without = [replace(photo, focal=None) for photo in photos]
-            other = search.run(again, without)
+            other = search.run(again, without, connected)
             tried.append(again.name)
             if _refutes_exif(other, best, photos):
                 used, best = without, other
@@ -137,7 +138,9 @@ class _Search(NamedTuple):
     images: Path
     folder: Path
 
-    def run(self, matching: Matching, photos: Sequence[UnposedPhoto]) -> Reconstruction:
+    def run(
+        self, matching: Matching, photos: Sequence[UnposedPhoto], connected: Sequence[int]
+    ) -> Reconstruction:
         workplace = self.folder / matching.name
         workplace.mkdir()
         database = workplace / MATCHES
@@ -147,7 +150,7 @@ class _Search(NamedTuple):
             focal, size = photos[group[0]].focal, sizes[group[0]]
             lens = None if focal is None else (focal * max(size), *size)
             add_photos(database, self.images, group, lens)
-        matching.fill(database)
+        matching.fill(database, connected)
         matches: dict[tuple[int, int], int] = {}
         doubts: dict[tuple[int, int], Doubt] = {}
         with open_database(database) as opened:

@@ -82,6 +82,12 @@ def test_a_sideways_photograph_is_compared_upright() -> None:
     assert alike(Image.open(stream), texture(0))
 
 
+def test_an_impression_can_be_turned() -> None:
+    on_its_side = Impression.of(texture(0).transpose(Image.Transpose.ROTATE_90))
+    assert not on_its_side.is_copy_of(Impression.of(texture(0)))
+    assert on_its_side.turned(3).is_copy_of(Impression.of(texture(0)))
+
+
 def test_a_test_view_that_is_a_copy_is_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

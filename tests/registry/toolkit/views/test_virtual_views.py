@@ -62,6 +62,7 @@ def test_a_camera_in_the_box_stays_in_it_and_sees_the_focus() -> None:
         one = virtual_views.in_box(cameras, BOUNDS, generator)
         u, v, _ = one.project(focus)
         assert (float(u), float(v)) == pytest.approx((20, 15))
+        assert one.camera_to_world[:3, 1] @ cameras[0].camera_to_world[:3, 1] > 0.9, "upright"
         reached = torch.maximum(reached, one.center.abs())
     assert (reached <= torch.tensor([1, 0.5, 1e-9])).all()
     assert (reached[:2] > torch.tensor([0.8, 0.4])).all()

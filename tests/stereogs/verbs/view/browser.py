@@ -67,6 +67,7 @@ class Received:
         controls: viser's identifier of each control, by its label.
         nodes: names of what the browser draws itself.
         picture: the last one received, `[H, W, 3]`; None if the server removed it.
+        position: where the server last placed the camera, in the page's units; None if it did not.
     """
 
     def __init__(self, page: Connection) -> None:
@@ -74,6 +75,7 @@ class Received:
         self.controls: dict[str, str] = {}
         self.nodes: set[str] = set()
         self.picture: NDArray[np.uint8] | None = None
+        self.position: tuple[float, ...] | None = None
 
     def read(self, seconds: float = 0.05) -> None:
         """Read messages until none arrives for this time."""
@@ -93,6 +95,8 @@ class Received:
         if kind == "BackgroundImageMessage":
             data = message["rgb_data"]
             self.picture = None if data is None else np.asarray(Image.open(io.BytesIO(data)))
+        elif kind == "SetCameraPositionMessage":
+            self.position = tuple(message["position"])
         elif kind.startswith("Gui") and "label" in props:
             self.controls[props["label"]] = message["uuid"]
         elif kind == "RemoveSceneNodeMessage":

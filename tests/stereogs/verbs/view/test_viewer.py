@@ -22,7 +22,7 @@ from core_rasterizer import Camera, Device, GaussianModel, Gaussians
 from registry import RunError
 from registry.testing import tiny_scene
 from stereogs.verbs.view.guard import Guard
-from stereogs.verbs.view.subject import Subject, viewpoints_of
+from stereogs.verbs.view.subject import Subject, start_pose, viewpoints_of
 from stereogs.verbs.view.viewer import Viewer
 from tests.stereogs.verbs.view.browser import WINDOW, Received, change, move, visit
 
@@ -117,6 +117,18 @@ def test_the_browser_shows_the_scene_and_follows_the_controls(
         serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
 
 
+def test_a_lost_camera_returns_to_the_photographs(viewer: Viewer, subject: Subject) -> None:
+    start = start_pose(subject)
+    with visit(viewer.url) as page:
+        received = Received(page)
+        move(page, (30.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        received.position = None
+        change(page, received.controls["Back to the photographs"], True)
+        serve_until(viewer, received, lambda: received.position is not None)
+        assert received.position == pytest.approx(tuple(start.position / start.distance))
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address")
 def test_the_server_listens_on_localhost_only(viewer: Viewer) -> None:
     """A server that listens on all addresses would answer on this one too."""
@@ -169,6 +181,8 @@ def test_the_printed_address_opens_the_page_and_its_files(viewer: Viewer) -> Non
         ("/", {}),
         ("/index.html", {}),
         ("/?token=guessed", {}),
+        ("//[", {}),
+        ("//[?token=guessed", {}),
         ("/", {"Cookie": "stereogs-1=guessed; a"}),
     ],
 )
@@ -177,6 +191,13 @@ def test_nobody_else_gets_the_page(viewer: Viewer, path: str, headers: dict[str,
     assert refused.status == 403
     assert refused.headers["Set-Cookie"] is None
     assert len(refused.read()) < 100
+
+
+def test_the_token_does_not_open_an_address_that_is_none(viewer: Viewer) -> None:
+    query = urlsplit(viewer.url).query
+    assert answer(viewer, f"//[?{query}").status == 403
+    assert answer(viewer, f"//[::1]/?{query}").status == 403
+    assert answer(viewer, f"/nothing?{query}").status == 404
 
 
 @pytest.mark.parametrize("case", ["foreign origin", "foreign host", "no token"])

@@ -14,6 +14,7 @@ from PIL import Image, ImageFilter
 from registry import SceneError
 from registry.toolkit.photos import Decoder
 from stereogs_plugins.scenes.photos import PhotosScene
+from stereogs_plugins.scenes.photos.loader import _warn_of_grey
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.stereogs_plugins.scenes.photos.photographs import (
     EXIF_BLOCK,
@@ -106,6 +107,7 @@ def test_the_best_of_copies_in_other_formats_and_sizes_stays(tmp_path: Path) -> 
     picture.resize((160, 120)).save(tmp_path / "images_2" / "IMG_1.png")
     picture.save(tmp_path / "web" / "IMG_1.webp", quality=60)
     picture.filter(ImageFilter.GaussianBlur(2)).save(tmp_path / "old" / "render.png")
+    picture.transpose(Image.Transpose.ROTATE_180).save(tmp_path / "old" / "u.jpg", quality=50)
     picture.save(tmp_path / "runs" / "demo" / "renders" / "IMG_1.png")
     for name in ("pipeline.yaml", "provenance.json"):
         (tmp_path / "runs" / "demo" / name).touch()
@@ -115,8 +117,36 @@ def test_the_best_of_copies_in_other_formats_and_sizes_stays(tmp_path: Path) -> 
         "images_2/IMG_1.png": "a copy of IMG_1.jpg, of 160x120 pixels only",
         "web/IMG_1.webp": "a copy of IMG_1.jpg",
         "old/render.png": "a copy of IMG_1.jpg",
+        "old/u.jpg": "a copy of IMG_1.jpg",
         "runs/demo": "the folder of a training run",
     }
+
+
+def test_of_a_grey_and_a_coloured_copy_the_coloured_one_stays(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_pictures(tmp_path, 2)
+    noise = Image.effect_noise((80, 60), 80).resize((320, 240), Image.Resampling.BICUBIC)
+    noise.convert("RGB").save(tmp_path / "a.png")
+    Image.merge("RGB", [noise, noise.point(lambda v: v // 2), noise]).save(tmp_path / "b.jpg")
+    noise.transpose(Image.Transpose.FLIP_TOP_BOTTOM).save(tmp_path / "c.jpe")
+    photos = read_folder(tmp_path).photos
+    assert [(photo.name, photo.grey) for photo in photos] == [
+        ("0.jpg", True),
+        ("1.jpg", False),
+        ("b.jpg", False),
+        ("c.jpe", True),
+    ]
+    _warn_of_grey(photos)
+    assert "2 of 4 photographs have no colours, 0.jpg first" in caplog.text
+
+
+def test_an_animation_is_left_out(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    frames = [Image.effect_noise((40, 30), sigma) for sigma in (20, 60)]
+    for name in ("a.webp", "a.png"):
+        frames[0].save(tmp_path / name, save_all=True, append_images=frames[1:])
+    assert reasons(tmp_path) == dict.fromkeys(["a.png", "a.webp"], "an animation, not a photograph")
 
 
 def test_a_phones_folder(tmp_path: Path) -> None:

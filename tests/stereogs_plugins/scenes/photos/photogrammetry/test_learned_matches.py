@@ -35,7 +35,7 @@ def test_networks_are_used_if_both_files_exist(
     files = known_files()
     assert files == (tmp_path / FINDER[0], tmp_path / MATCHER[0])
     with pytest.raises(PluginError, match="SHA-256"):
-        add_learned_matches(files, tmp_path, tmp_path, tmp_path)
+        add_learned_matches(files, tmp_path, tmp_path, tmp_path, [])
 
 
 def place(photos: list[UnposedPhoto], count: int, folder: Path) -> Reconstruction:
