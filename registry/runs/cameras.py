@@ -61,7 +61,7 @@ class _Absent:
 
     @classmethod
     def __torch_function__(cls, function: Any, types: Any, given: Any, _: Any = None) -> NoReturn:
-        next(leaves(given, cls))._refuse()
+        raise vars(next(leaves(given, cls)))["_error"]
 
     __array__ = __getitem__ = __len__ = __iter__ = _refuse
 
