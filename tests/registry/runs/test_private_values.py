@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from core_rasterizer import Device
-from registry.messages.visible_text import without_credentials
-from tests.host import PipelineError, Plugins
+from tests.host import PipelineError, Plugins, without_credentials
 from tests.registry.runs.toy_run import resumed, run
 from tests.registry.toy_plugin import ToySceneSettings
 
