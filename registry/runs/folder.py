@@ -3,7 +3,7 @@
 pipeline.yaml     the pipeline with every default
 provenance.json   versions, commit, device, platform, seed, command line
 inputs.json       digests of the inputs, see origin.py
-cameras.json      cameras of the views, see cameras.py
+cameras.json      cameras of the views, see sources/cameras.py
 initialization/   facts and pictures of the initializer
 metrics.jsonl     one line every 50 iterations
 checkpoint/       the two newest checkpoints, see training/checkpoint.py
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from ..contract.scene import Scene
     from ..pipeline.pipeline import Pipeline
-    from .cameras import CamerasRecord
+    from .sources.cameras import CamerasRecord
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
@@ -217,7 +217,7 @@ class RunFolder:
 
     def cameras(self) -> dict[str, Any]:
         """Return the content of cameras.json, empty for a run of an older version."""
-        from .cameras import CamerasRecord
+        from .sources.cameras import CamerasRecord
 
         return _read_json(self.path / CAMERAS, CamerasRecord)
 

@@ -35,11 +35,11 @@ from ..training.checkpoint import (
     write_checkpoint,
 )
 from ..training.initial_model import new_model
-from .cameras import scene_of
 from .folder import RunFolder
 from .origin import input_digests, refuse_changed_inputs, with_packages
-from .places import in_its_place
 from .run import Run
+from .sources.cameras import scene_of
+from .sources.places import in_its_place
 from .trained_scene import Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]

@@ -11,10 +11,10 @@ from uuid import uuid4
 
 from ..errors import RunError
 from ..training.checkpoint import CHECKPOINT, save_checkpoint
-from .cameras import cameras_of
 from .folder import RunFolder
 from .origin import circumstances, input_digests
 from .outputs import finish
+from .sources.cameras import cameras_of
 from .trained_scene import TrainedScene
 
 

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from core_rasterizer import Camera, ExplainedError
 
-from ..contract.scene import Scene, View
-from ..pipeline.settings_check import leaves
-from .results import Record
+from ...contract.scene import Scene, View
+from ...pipeline.settings_check import leaves
+from ..results import Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import RunError
-from ..pipeline.pipeline import Item, Pipeline
-from ..pipeline.settings_check import with_path
-from .folder import RunFolder
+from ...errors import RunError
+from ...pipeline.pipeline import Item, Pipeline
+from ...pipeline.settings_check import with_path
+from ..folder import RunFolder
 
 _PATH = "path"
 """The setting of scene loaders that names the folder of the data."""
