@@ -260,9 +260,10 @@ def resume(folder: PathLike, options: RunOptions | None = None, **changes: Any) 
 def open_run(
     folder: PathLike,
     *,
-    scene: Scene | None = None,
+    scene: Scene | PathLike | None = None,
     device: Device | Engine | str | None = None,
     accept_changed_inputs: bool = False,
+    photographs: bool = True,
 ) -> Run:
     """Read a run folder: its pipeline, scene and Gaussians.
 
@@ -270,7 +271,8 @@ def open_run(
 
     Args:
         folder: the run folder.
-        scene: needed if the run was trained on a scene made in Python.
+        scene: needed if the run was trained on a scene made in Python; or the folder of moved data.
+        photographs: False if cameras are enough: then the scene has no images if its data cannot be loaded.
         device, accept_changed_inputs: as in `RunOptions`.
 
     Raises:
@@ -284,9 +286,10 @@ def open_run(
             path,
             plugins=Plugins(),
             device=find_device(device),
-            scene=scene,
+            scene=Path(scene).expanduser() if isinstance(scene, str | os.PathLike) else scene,
             accept_changed_inputs=accept_changed_inputs,
             to_train=False,
+            photographs=photographs,
         )
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         recognize,
     )
     from registry.errors import PipelineError
-    from registry.messages.visible_text import is_plain_name
+    from registry.messages.visible_text import is_plain_name, without_credentials
     from registry.pipeline.faults import faults, needs
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
     from registry.pipeline.pipeline import Item, default_schedule, load_pipeline, parse_pipeline

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
@@ -36,6 +36,11 @@ class Settings(pydantic.BaseModel):
     """Present names by former names; pipelines with a former name open, with a warning."""
     removed: ClassVar[Mapping[str, object]] = {}
     """Settings that no longer exist, with the value that the code now has; pipelines with this value open."""
+    public: ClassVar[Collection[str]] = ()
+    """Settings whose environment variables run folders and `explain` show as values. Others stay `${NAME}`,
+    because they may be secret, except variables that begin with STEREOGS_."""
+    _written: dict[str, tuple[Any, Any]] = pydantic.PrivateAttr(default_factory=dict)
+    """Value and text, as written in the pipeline, of settings that are recorded by the text."""
 
 
 # With a default (in `typing` from Python 3.13 on), `StereoPrior.choose(...)` has a full type.

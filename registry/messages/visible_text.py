@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of control and format characters, lone surrogates and other line breaks."""
+
+_CREDENTIALS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)[^\s/@'\"]+@")
 
 
 def visible(text: str) -> str:
@@ -19,6 +22,11 @@ def visible(text: str) -> str:
         ascii(c)[1:-1] if c not in "\n\t" and unicodedata.category(c) in _INVISIBLE else c
         for c in text
     )
+
+
+def without_credentials(text: str) -> str:
+    """Replace user names and passwords in URLs, `scheme://user:password@host`, by ***."""
+    return _CREDENTIALS.sub(r"\1***@", text)
 
 
 def is_plain_name(name: object) -> bool:

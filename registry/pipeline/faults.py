@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from ..contract.component import Component
 from ..contract.prior import chosen_prior
 from ..errors import PluginError
-from .pipeline import Item, Pipeline, default_schedule, leaves
+from .pipeline import Item, Pipeline, default_schedule
+from .settings_check import leaves, paths_of
 
 FAR_MORE_OFTEN = 50
 """Largest number of a component's calls, relative to its default schedule; published methods have up to 32
@@ -20,9 +20,9 @@ def faults(pipeline: Pipeline) -> list[str]:
     """Return the problems that are known before anything is loaded, each in a sentence."""
     found: list[tuple[Item, str]] = []
     for item in pipeline:
-        paths = leaves(dict(item.settings), Path)
-        missing = [path for path in paths if not path.expanduser().exists()]
-        found += [(item, f"{path} does not exist") for path in missing]
+        paths = paths_of(item.settings)
+        missing = [shown for path, shown in paths if not path.expanduser().exists()]
+        found += [(item, f"{shown} does not exist") for shown in missing]
         if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
             found.append((item, f"{fault} ({item.place})"))
     found += [(item, error.what) for item, error in _prior_faults(pipeline)]

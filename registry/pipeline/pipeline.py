@@ -21,7 +21,7 @@ from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
 from .ready import find_pipeline
 from .schedule import HostSettings, Schedule, in_iterations, with_defaults
-from .settings_check import escape_variables, plain, validate_settings
+from .settings_check import escape_variables, paths_of, plain, recorded, validate_settings
 from .training_settings import TrainingSettings, iterations_of_a_run, read_training
 from .yaml_source import Node, Place, parse, read, to_yaml
 
@@ -143,13 +143,19 @@ class Pipeline:
         views = iterations_of_a_run(text) // self.iterations_per_view
         return views > 0 and text == self.for_views(views).to_yaml()
 
-    def plain(self) -> dict[str, Any]:
-        """The pipeline as plain values, with every default; without `observers` if it has none."""
-        tree: dict[str, Any] = {"name": self.name}
+    def plain(self, escaped: Callable[[Any], Any] = lambda value: value) -> dict[str, Any]:
+        """The pipeline as plain values, with every default; without `observers` if it has none.
+
+        Variables that may be secret are as written, see `Settings.public`.
+
+        Args:
+            escaped: applied to all other values.
+        """
+        tree: dict[str, Any] = {"name": escaped(self.name)}
         if self.protocol is not None:
-            tree["protocol"] = self.protocol.written
+            tree["protocol"] = escaped(self.protocol.written)
         for point in PIPELINE_POINTS:
-            written = [_written(item) for item in self.items[point.section]]
+            written = [_written(item, escaped) for item in self.items[point.section]]
             if point.observes and not written:
                 continue  # as in pipelines before observers existed
             bare = point.holds == "one" or (point.holds == "one or list" and len(written) < 2)
@@ -163,7 +169,7 @@ class Pipeline:
 
     def to_yaml(self) -> str:
         """`plain` as a file; `parse_pipeline` reads the same pipeline back."""
-        return to_yaml(escape_variables(self.plain()))
+        return to_yaml(self.plain(escape_variables))
 
 
 def load_pipeline(
@@ -321,25 +327,16 @@ def _first_complete(
             lacking.append(unset_variable.what)
             continue
         item = component_item(point, candidate, find, iterations)
-        paths = list(leaves(dict(item.settings), Path)) if item else []
-        absent = [path for path in paths if not path.expanduser().exists()]
+        paths = list(paths_of(item.settings)) if item else []
+        absent = [shown for path, shown in paths if not path.expanduser().exists()]
         if item is None or (not absent and not lacking):
             return item
         if not absent:
-            files = "".join(f" with {path.name}" for path in paths)
+            files = "".join(f" with {Path(shown).name}" for _, shown in paths)
             why = "; ".join(dict.fromkeys(lacking))
             return replace(item, fallback=f"{item.name} is {item.host.use}{files}: {why}")
         lacking.append(f"{absent[0]} does not exist")
     return component_item(point, candidates[-1], find, iterations)
-
-
-def leaves(value: Any, kind: type) -> Iterator[Any]:
-    """Yield every value of a type, also in mappings and sequences."""
-    if isinstance(value, kind):
-        yield value
-    elif isinstance(value, Mapping | list | tuple):
-        for inner in value.values() if isinstance(value, Mapping) else value:
-            yield from leaves(inner, kind)
 
 
 def component_item(
@@ -395,8 +392,8 @@ def default_schedule(offer: Offer, iterations: int) -> Schedule:
     return Schedule.model_validate({name: known[name].content for name in names})
 
 
-def _written(item: Item) -> dict[str, Any]:
+def _written(item: Item, escaped: Callable[[Any], Any]) -> dict[str, Any]:
     host = item.host.model_dump(mode="json")
     names = [n for n in item.point.host_settings if n not in ("enabled", "fallbacks")]
     first = {name: host[name] for name in names if name != "name" or host[name] is not None}
-    return {**first, **item.settings.model_dump(mode="json")}
+    return {**escaped(first), **recorded(item.settings, escaped)}

@@ -6,7 +6,8 @@ import json
 import logging
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import pydantic
@@ -17,6 +18,8 @@ from .yaml_source import Node, Place
 
 _log = logging.getLogger("stereogs.pipeline")
 Model = TypeVar("Model", bound=Settings)
+PUBLIC_PREFIX = "STEREOGS_"
+"""Environment variables whose names begin so hold no secret."""
 _VARIABLE = re.compile(r"\$\$\{|\$\{([^}]*)(\}?)")
 _MESSAGES = {
     "int_type": "must be a whole number",
@@ -48,7 +51,10 @@ def validate_settings(
     # Through JSON, pydantic's strict types still take a list as a tuple and text as a path.
     text = json.dumps(plain(node))
     try:
-        return model.model_validate_json(text, strict=True)
+        settings = model.model_validate_json(text, strict=True)
+        for name, written in _with_private_variables(node, model.public).items():
+            settings._written[name] = getattr(settings, name), written
+        return settings
     except pydantic.ValidationError as error:
         # A missing setting is often a misspelt one: report the misspelt name first.
         found = sorted(error.errors(), key=lambda problem: problem["type"] == "missing")
@@ -116,6 +122,61 @@ def escape_variables(value: Any) -> Any:
     return value.replace("${", "$${") if isinstance(value, str) else value
 
 
+def recorded(
+    settings: Settings, escaped: Callable[[Any], Any] = lambda value: value
+) -> dict[str, Any]:
+    """Return settings as JSON values for run folders and displays, without values that may be secret.
+
+    Args:
+        escaped: applied to each value that is not as written.
+    """
+    values = settings.model_dump(mode="json")
+    written = _as_written(settings)
+    return {k: written.get(k, escaped(value)) for k, value in values.items()}
+
+
+def with_path(settings: Model, name: str, path: Path) -> Model:
+    """Return settings with another path, which are recorded as before."""
+    kept = recorded(settings)[name]
+    changed = settings.model_copy(update={name: path})
+    changed._written = {**settings._written, name: (path, kept)}
+    return changed
+
+
+def _as_written(settings: Settings) -> dict[str, Any]:
+    """Return the settings that are recorded as written, unless they were changed since."""
+    return {k: w for k, (v, w) in settings._written.items() if getattr(settings, k) == v}
+
+
+def paths_of(settings: Settings) -> Iterator[tuple[Path, str]]:
+    """Yield each path in settings, and how to show it."""
+    written = _as_written(settings)
+    for name, value in settings:
+        for path in leaves(value, Path):
+            yield path, str(written.get(name, path))
+
+
+def leaves(value: Any, kind: type) -> Iterator[Any]:
+    """Yield every value of a type, also in mappings and sequences."""
+    if isinstance(value, kind):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from leaves(inner, kind)
+
+
+def _with_private_variables(node: Node, public: Collection[str]) -> dict[str, Any]:
+    """Return the settings whose text has a variable that may be secret, as written."""
+    children = node.content if isinstance(node.content, dict) else {}
+    written = {k: child.as_written() for k, child in children.items() if k not in public}
+    return {k: value for k, value in written.items() if any(map(_is_private, leaves(value, str)))}
+
+
+def _is_private(text: str) -> bool:
+    names = [match.group(1) for match in _VARIABLE.finditer(text)]
+    return any(name is not None and not name.startswith(PUBLIC_PREFIX) for name in names)
+
+
 def _expand_variables(text: str, place: Place) -> str:
     def value(match: re.Match[str]) -> str:
         name = match.group(1)
@@ -129,7 +190,7 @@ def _expand_variables(text: str, place: Place) -> str:
         if name not in os.environ:
             raise place.error(
                 f"the environment variable {name!r} is not set",
-                fix=f"set it (export {name}=...), or override this setting with --set",
+                fix=f"set it: export {name}=...",
             )
         return os.environ[name]
 

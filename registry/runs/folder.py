@@ -3,6 +3,7 @@
 pipeline.yaml     the pipeline with every default
 provenance.json   versions, commit, device, platform, seed, command line
 inputs.json       digests of the inputs, see origin.py
+cameras.json      cameras of the views, see sources/cameras.py
 initialization/   facts and pictures of the initializer
 metrics.jsonl     one line every 50 iterations
 checkpoint/       the two newest checkpoints, see training/checkpoint.py
@@ -38,12 +39,14 @@ if TYPE_CHECKING:
 
     from ..contract.scene import Scene
     from ..pipeline.pipeline import Pipeline
+    from .sources.cameras import CamerasRecord
 
 PIPELINE = "pipeline.yaml"
 PROVENANCE = "provenance.json"
 INITIALIZATION = "initialization"
 METRICS = "metrics.jsonl"
 INPUTS = "inputs.json"
+CAMERAS = "cameras.json"
 RESULTS = "results.json"
 
 ChooseFolder = Callable[["Pipeline", "Scene"], Path]
@@ -69,6 +72,8 @@ def refuse_occupied(out: Path | ChooseFolder | None) -> None:
 
 class _Provenance(Record):
     run: str = ""
+    folder: str = ""
+    folder_from_run: str = ""
     plugins: dict[str, str] = Field(default_factory=dict)
     resumed: list[dict[str, Any]] = Field(default_factory=list)
 
@@ -162,6 +167,16 @@ class RunFolder:
         """Unique identifier of the run; "" for a run of an older version."""
         return str(_read_json(self.path / PROVENANCE, _Provenance).get("run", ""))
 
+    def started_in(self) -> tuple[Path, ...]:
+        """Return the folders in which the run may have been started, the likeliest first.
+
+        The run folder may have been moved together with it; none for a run of an older version.
+        """
+        origin = _read_json(self.path / PROVENANCE, _Provenance)
+        if not origin.get("folder"):
+            return ()
+        return (self.path / origin["folder_from_run"]).resolve(), Path(origin["folder"])
+
     @property
     def plugins(self) -> dict[str, str]:
         """The package of each component when training began or was last resumed."""
@@ -195,6 +210,16 @@ class RunFolder:
         """Return the digests of the inputs, None for a run of an older version, and the changed inputs."""
         content = _read_json(self.path / INPUTS, _Inputs)
         return content.get("digests"), content.get("changed", [])
+
+    def write_cameras(self, cameras: CamerasRecord) -> None:
+        """Write the cameras of the scene."""
+        write_json(self.path / CAMERAS, cameras.model_dump())
+
+    def cameras(self) -> dict[str, Any]:
+        """Return the content of cameras.json, empty for a run of an older version."""
+        from .sources.cameras import CamerasRecord
+
+        return _read_json(self.path / CAMERAS, CamerasRecord)
 
     def write_results(self, results: Results) -> None:
         """Replace results.json."""

@@ -25,7 +25,6 @@ from ..discovery import Plugins
 from ..errors import RunError
 from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import load_pipeline
-from ..pipeline.settings_check import plain
 from ..pipeline.yaml_source import parse
 from ..training.assembly import restore
 from ..training.checkpoint import (
@@ -39,6 +38,8 @@ from ..training.initial_model import new_model
 from .folder import RunFolder
 from .origin import input_digests, refuse_changed_inputs, with_packages
 from .run import Run
+from .sources.cameras import scene_of
+from .sources.places import in_its_place
 from .trained_scene import Stages
 
 _OBSERVED = [point.section for point in HOOK_POINTS if point.observes]
@@ -53,15 +54,17 @@ def load_run(
     *,
     plugins: Plugins,
     device: Device | Engine,
-    scene: Scene | None = None,
+    scene: Scene | Path | None = None,
     accept_changed_inputs: bool = False,
     to_train: bool = True,
+    photographs: bool = True,
 ) -> Run:
     """Read a run folder: its pipeline, scene and newest checkpoint.
 
     Args:
-        scene: used instead of the scene that the pipeline loads.
+        scene: used instead of the scene that the pipeline loads; or the folder that its loader reads.
         to_train: whether all components must be installed; otherwise only the scene's loader.
+        photographs: False if the cameras are enough where the photographs cannot be loaded.
 
     Raises:
         ExplainedError: one of them cannot be read; the pipeline or the checkpoint belongs to another run; or
@@ -92,13 +95,14 @@ def load_run(
             where=str(place),
             fix="restore the run's own checkpoint, or train again into another folder",
         )
+    pipeline = in_its_place(pipeline, folder, scene if isinstance(scene, Path) else None)
     parts = Parts(pipeline, device)
     begin = monotonic()
     with nullcontext() if to_train else _without_advice():
-        scene = load_scene(parts.one("scene")) if scene is None else validate(scene)
+        scene, complete = _scene_of(scene, parts, folder, photographs)
     loading = monotonic() - begin
     before, _ = folder.inputs()
-    if before is not None and not accept_changed_inputs:
+    if before is not None and complete and not accept_changed_inputs:
         refuse_changed_inputs(before, scene, pipeline, path)
     facts = folder.initialization()
     with explain_misfit(place):
@@ -117,7 +121,26 @@ def load_run(
         seconds=Stages(loading, float(facts.get("seconds", 0.0)), checkpoint.seconds),
         folder=folder,
         saved_iteration=checkpoint.iteration,
+        photographs=complete,
     )
+
+
+def _scene_of(
+    given: Scene | Path | None, parts: Parts, folder: RunFolder, photographs: bool
+) -> tuple[Scene, bool]:
+    """Return the scene of a run, and whether it has its photographs."""
+    if isinstance(given, Scene):
+        return validate(given), True
+    try:
+        return load_scene(parts.one("scene")), True
+    except ExplainedError as error:
+        remedy = "if the data was moved, add `--scene FOLDER`"
+        error.fix = f"{error.fix}; {remedy}" if error.fix else remedy
+        known = {} if photographs or given is not None else folder.cameras()
+        if not known:
+            raise
+        _log.info("the photographs cannot be loaded, and are not needed: %s", error.what)
+        return scene_of(known, error), False
 
 
 @contextmanager
@@ -160,7 +183,7 @@ def _check_unedited(file: Path, before: str) -> None:
 
 def _values(text: str) -> dict[str, Any]:
     """Return the values of a pipeline without its observers; plugins may be uninstalled."""
-    values = plain(parse(text, "pipeline"))
+    values = parse(text, "pipeline").as_written()
     return {name: value for name, value in values.items() if name not in _OBSERVED}
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from core_rasterizer import Device, Engine
@@ -23,6 +25,7 @@ class RunOptions:
     Args:
         scene: trains on this scene instead of the one that the pipeline names. The run's pipeline then says
             `scene: in_memory`, and `open_run` needs the scene again.
+        scene_folder: folder of a resumed run's photographs, if they were moved.
         progress: whether to print progress, or the console to print it on.
         on_begin: called with the run before the first iteration.
         callback: called after each iteration; training stops after one for which it returns False.
@@ -36,6 +39,7 @@ class RunOptions:
     """
 
     scene: Scene | None = None
+    scene_folder: Path | None = None
     progress: bool | Console = True
     on_begin: Callable[[Run], None] | None = None
     callback: Callable[[Iteration], bool | None] | None = None

@@ -27,7 +27,9 @@ from registry.toolkit.cache.keys import code_digest
 from ..contract.scene import Scene
 from ..discovery import GROUP, Offer
 from ..errors import RunError
+from ..messages.visible_text import without_credentials
 from ..pipeline.pipeline import Item, Pipeline
+from ..pipeline.settings_check import recorded
 
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
@@ -65,7 +67,7 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
             if getattr(view, part) is not None:
                 digests[f"the {part} of {view.name}"] = _digest(getattr(view, part))
     for item in pipeline:
-        for name, value in item.settings.model_dump(mode="json").items():
+        for name, value in recorded(item.settings).items():
             if name.endswith(_HASH_SETTING) and value is not None:
                 digests[f"the file of {item.qualified_name}.{name}"] = str(value)
     return digests
@@ -115,7 +117,7 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
     packages = [_OURS, *(found[0] for text in required if (found := _NAME.match(text)))]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": sys.argv,
+        "command": [without_credentials(word) for word in sys.argv],
         "engine": engine.name,
         "device": describe_device(engine.device),
         "platform": platform.platform(),

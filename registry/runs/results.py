@@ -16,7 +16,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from core_rasterizer import ExplainedError
 
 from ..errors import RunError
-from ..messages.visible_text import visible
+from ..messages.visible_text import visible, without_credentials
+from ..pipeline.settings_check import recorded
 from ..system.files import jsonable
 
 if TYPE_CHECKING:
@@ -94,8 +95,12 @@ class Failure(Record):
     @staticmethod
     def of(component: str, error: ExplainedError) -> Failure:
         """Return the record of an error."""
-        texts = {name: visible(getattr(error, name)) for name in ("what", "where", "fix")}
+        texts = {name: _shown(getattr(error, name)) for name in ("what", "where", "fix")}
         return Failure(component=component, **texts)
+
+
+def _shown(text: str) -> str:
+    return without_credentials(visible(text))
 
 
 class Results(Record):
@@ -184,7 +189,7 @@ def _metric(item: Item) -> dict[str, Any]:
     """Return what scores depend on: the package, the settings, the hash of a file, but not its path."""
     from .origin import foreign_package
 
-    settings = item.settings.model_dump(mode="json")
+    settings = recorded(item.settings)
     paths = [name for name, value in item.settings if isinstance(value, Path)]
     kept = {k: v for k, v in settings.items() if k not in paths}
     package = foreign_package(item.offer)

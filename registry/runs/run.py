@@ -14,6 +14,7 @@ from ..training.checkpoint import CHECKPOINT, save_checkpoint
 from .folder import RunFolder
 from .origin import circumstances, input_digests
 from .outputs import finish
+from .sources.cameras import cameras_of
 from .trained_scene import TrainedScene
 
 
@@ -24,10 +25,12 @@ class Run(TrainedScene):
     Args:
         folder: the run folder; None: in memory only.
         saved_iteration: iteration of the newest checkpoint in the folder.
+        photographs: whether the scene has its photographs; without, using one raises why.
     """
 
     folder: RunFolder | None = None
     saved_iteration: int | None = None
+    photographs: bool = True
 
     @property
     def identity(self) -> str:
@@ -64,11 +67,14 @@ class Run(TrainedScene):
         provenance = {
             "run": uuid4().hex,
             "seed": self.pipeline.training.seed,
+            "folder": str(Path.cwd()),
+            "folder_from_run": os.path.relpath(Path.cwd().resolve(), path.resolve()),
             **circumstances(self.pipeline, self.engine_model.engine),
             "resumed": [],
         }
 
         def fill(folder: RunFolder) -> None:
+            folder.write_cameras(cameras_of(self.scene))
             folder.write_initialization(self.initialization, self.pictures)
             checkpoint = replace(self.checkpoint(), run=folder.identity)
             save_checkpoint(checkpoint, folder.folder(CHECKPOINT))

@@ -108,7 +108,7 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             path,
             plugins=plugins,
             device=device,
-            scene=options.scene,
+            scene=options.scene or options.scene_folder,
             accept_changed_inputs=options.accept_changed_inputs,
         )
         refuse_missing_priors(run.pipeline)

@@ -62,16 +62,29 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Add the argument RUN and the options with which `open_given` opens it."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    add_scene_folder(parser)
     add_accept_changed(parser, "inputs")
     add_device(parser)
 
 
-def open_given(arguments: argparse.Namespace) -> Run:
-    """Open the run given by the arguments of `add_run`."""
+def add_scene_folder(parser: argparse.ArgumentParser) -> None:
+    """Add --scene, the folder of a run's data."""
+    parser.add_argument(
+        "--scene",
+        type=Path,
+        metavar="FOLDER",
+        help="the folder of the run's photographs, if they were moved since the training",
+    )
+
+
+def open_given(arguments: argparse.Namespace, *, photographs: bool = True) -> Run:
+    """Open the run given by the arguments of `add_run`; `photographs` as for `open_run`."""
     from ..session import open_run
 
     return open_run(
         arguments.run_folder,
+        scene=arguments.scene,
+        photographs=photographs,
         device=arguments.device,
         accept_changed_inputs=arguments.accept_changed_inputs,
     )
@@ -127,6 +140,7 @@ def run_options(
         progress=output,
         device=arguments.device,
         check_plugins=arguments.check_plugins,
+        scene_folder=getattr(arguments, "scene", None),
         accept_changed_inputs=getattr(arguments, "accept_changed_inputs", False),
         accept_changed_plugins=getattr(arguments, "accept_changed_plugins", False),
     )

@@ -84,7 +84,7 @@ class Export(Command):
         output = console()
 
         find_exporter(arguments.format, arguments.set)  # fails before the scene is loaded
-        opened = open_given(arguments)
+        opened = open_given(arguments, photographs=False)
         written = export(
             opened,
             arguments.format,

@@ -64,7 +64,7 @@ class Render(Command):
             fix = "add --path, or remove --frames"
             raise RunError("only a path has frames", where="--frames", fix=fix)
         output = console()
-        run = open_given(arguments)
+        run = open_given(arguments, photographs=False)
         from registry.runs.results import RENDERS
         from registry.toolkit.drawing import smooth_path, write_video
         from registry.toolkit.drawing.pictures import save_view_pictures
@@ -76,7 +76,8 @@ class Render(Command):
         if not arguments.path:
             split, views = ("test", scene.test) if scene.test else ("training", scene.train)
             for view in views:
-                save_view_pictures(run.rendering(view.camera), view, folder)
+                rendering = run.rendering(view.camera)
+                save_view_pictures(rendering, view, folder, compared=run.photographs)
             output.print(f"{counted(len(views), f'{split} view')} in {folder}")
             if confidence is not None:
                 place, share = _draw(run, views, arguments.confidence, confidence, folder)

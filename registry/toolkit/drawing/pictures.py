@@ -76,28 +76,30 @@ class ViewPictures:
 
 
 def save_view_pictures(
-    rendering: Rendering, view: View, folder: Path, unit: float = 1.0
+    rendering: Rendering, view: View, folder: Path, unit: float = 1.0, *, compared: bool = True
 ) -> ViewPictures:
     """Write a view's render, its depth, and photograph | render | depth side by side.
 
     Args:
         unit: of the rendering's depths, in units of the scene's files.
+        compared: whether to write the third picture, which needs the photograph.
     """
     import torch
 
     files = ViewPictures.of(view.name, folder)
     # In bytes at once: floats of photographs of many megapixels need gigabytes.
-    photograph, render, depth = (
-        torch.from_numpy(to_bytes(image))
-        for image in (view.image, rendering.rgb, depth_picture(rendering))
+    render, depth = (
+        torch.from_numpy(to_bytes(image)) for image in (rendering.rgb, depth_picture(rendering))
     )
     for file in (files.depth, files.comparison):
         file.parent.mkdir(exist_ok=True)
     pictures = [
         (render, files.render, None),
         (depth, files.depth, _depth_texts(rendering, unit)),
-        (side_by_side(photograph, render, depth), files.comparison, None),
     ]
+    if compared:
+        photograph = torch.from_numpy(to_bytes(view.image))
+        pictures.append((side_by_side(photograph, render, depth), files.comparison, None))
     in_parallel(lambda picture: save_png(*picture), pictures)
     return files
 

@@ -42,6 +42,7 @@ or a prior is missing, or if a component is never due or called far too often.
     def run(self, arguments: argparse.Namespace) -> int:
         """Print the explanation; return 1 if the pipeline has a fault."""
         from registry.discovery import Plugins
+        from registry.messages.visible_text import without_credentials
         from registry.pipeline.faults import faults
         from registry.pipeline.pipeline import load_pipeline
 
@@ -59,7 +60,7 @@ or a prior is missing, or if a component is never due or called far too often.
                 for label, text in component.notes:
                     output.print(f"    {label:<6} {text}")
         output.print(f"\nmemory, estimated\n  {memory(pipeline)}")
-        output.print(f"\nthe pipeline in full\n\n{pipeline.to_yaml()}")
+        output.print(f"\nthe pipeline in full\n\n{without_credentials(pipeline.to_yaml())}")
         found = faults(pipeline)
         for fault in found:
             output.print(f"fault: {fault}")
@@ -101,7 +102,7 @@ def memory(pipeline: Pipeline) -> str:
 def _explained(item: Item, pipeline: Pipeline) -> Explained:
     from registry.contract.prior import usable_priors
     from registry.pipeline.faults import capabilities, needs
-    from registry.pipeline.pipeline import leaves
+    from registry.pipeline.settings_check import paths_of
 
     from .summaries import summary
 
@@ -113,7 +114,7 @@ def _explained(item: Item, pipeline: Pipeline) -> Explained:
     if item.point.scheduled:
         notes.append(("when", _when(item, pipeline.training.iterations)))
     notes.append(("reads", item.point.reads))
-    notes += [("file", f"{path}, {_size(path)}") for path in leaves(dict(item.settings), Path)]
+    notes += [("file", f"{shown}, {_size(path)}") for path, shown in paths_of(item.settings)]
     for wanted in needs(offer.component):
         names = ", ".join(usable_priors(capabilities(pipeline), wanted)) or "none in the pipeline"
         notes.append(("needs", f"a prior for {' or '.join(wanted)}: {names}"))

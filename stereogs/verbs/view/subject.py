@@ -78,7 +78,8 @@ class Subject:
 def of_run(run: Run) -> Subject:
     """Return the Gaussians of a run, not copied, with their confidence."""
     confidence = cache(lambda: run.trained.confidence("calibrated"))
-    return replace(_of(run, run.engine_model, run.kinds), confidence=confidence)
+    subject = _of(run, run.engine_model, run.kinds)
+    return replace(subject, confidence=confidence if run.photographs else None)
 
 
 def snapshot(run: Run) -> Subject:
@@ -110,7 +111,10 @@ def of_file(path: Path, device: Device) -> Subject:
 
 def _of(run: Run, model: Model, kinds: Mapping[str, Tensor]) -> Subject:
     title = f"{run.scene.name}, {run.pipeline.name}"
-    return Subject(title, model, viewpoints_of(run.framed), run.scene.background, kinds)
+    viewpoints = viewpoints_of(run.framed)
+    if not run.photographs:
+        viewpoints = tuple(replace(point, photograph=None) for point in viewpoints)
+    return Subject(title, model, viewpoints, run.scene.background, kinds)
 
 
 def viewpoints_of(scene: Scene) -> tuple[Viewpoint, ...]:

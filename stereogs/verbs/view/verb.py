@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...command_line.arguments import add_accept_changed, add_device
+from ...command_line.arguments import add_accept_changed, add_device, add_scene_folder
 from ...command_line.command import Command
 from ...command_line.output import console
 from . import PORT, import_viser
@@ -39,6 +39,7 @@ class View(Command):
             metavar="N",
             help=f"first port to try (default {PORT}); if it is in use, the next free one",
         )
+        add_scene_folder(parser)
         add_accept_changed(parser, "inputs")
         add_device(parser)
 
@@ -69,6 +70,8 @@ def _subject(arguments: argparse.Namespace) -> Subject:
 
     run = open_run(
         arguments.subject,
+        scene=arguments.scene,
+        photographs=False,
         device=arguments.device,
         accept_changed_inputs=arguments.accept_changed_inputs,
     )
