@@ -55,5 +55,5 @@ def test_three_real_photographs_give_points(name: str, least: int) -> None:
     assert len(found.positions) > least
     assert found.errors.mean() < 0.5
     assert scene.points is not None  # the data set's own points, from all photographs
-    distance = torch.cdist(found.positions, scene.points.positions).amin(dim=1)
+    distance = torch.cdist(found.positions, scene.points.positions.float()).amin(dim=1)
     assert distance.median() < 0.02 * scene.bounds[1]
