@@ -25,6 +25,10 @@ class PlacedGaussians(GaussianReader):
         super().__init__(model, attributes)
         self._frame = frame
 
+    def digest(self) -> str:
+        """Return the SHA-256 of all parameters in the frame of training, hexadecimal: `Run.hash`."""
+        return self._model.digest()
+
     def read(self, name: str) -> Tensor:
         """Return one parameter; see `GaussianReader.read`."""
         return self._placed(name, super().read(name))

@@ -45,8 +45,8 @@ def score(run: Run) -> float:
 
 def test_both_engines_reach_the_same_score(runs: tuple[Run, Run]) -> None:
     opencl, torch = runs
-    assert isinstance(opencl.model, GaussianModel)
-    assert isinstance(torch.model, TorchModel)
+    assert isinstance(opencl.engine_model, GaussianModel)
+    assert isinstance(torch.engine_model, TorchModel)
     assert opencl.model.count > 150
     assert abs(opencl.model.count - torch.model.count) <= 5
     assert score(torch) == pytest.approx(score(opencl), abs=TOLERANCE)
@@ -65,7 +65,7 @@ def test_a_run_is_opened_and_rendered_in_another_engine(runs: tuple[Run, Run]) -
     opencl, torch = runs
     assert torch.folder is not None
     opened = stereogs.open_run(torch.folder.path)
-    assert isinstance(opened.model, GaussianModel)
+    assert isinstance(opened.engine_model, GaussianModel)
     camera = torch.scene.train[0].camera
     pictures = [stereogs.render(run, camera) for run in (opened, torch)]
     assert abs(pictures[0].rgb - pictures[1].rgb).max() < 1e-4
