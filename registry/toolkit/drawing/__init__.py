@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         upwards as upwards,
     )
     from .pictures import (
+        DRAWN as DRAWN,
         RAMP as RAMP,
         ViewPictures as ViewPictures,
         depth_ends as depth_ends,

@@ -27,6 +27,8 @@ RAMP = (
     (1.00, 0.92, 0.45),
 )
 """Color map from low to high (far to near), equally spaced, with increasing lightness."""
+DRAWN = "Software"
+"""PNG text that names the command that drew a picture, to tell it from a photograph."""
 NEAREST, FARTHEST = "nearest depth", "farthest depth"
 """PNG texts of a depth image: z-depths of its lightest and its darkest color, world units."""
 DEPTHS, COMPARISONS = "depth", "comparison"

@@ -83,7 +83,7 @@ class Check(Command):
             from core_rasterizer import open_device
             from registry.calls.process_state import one_torch_thread
             from registry.pipeline.parts import build_part, load_scene
-            from registry.toolkit.drawing import save_png
+            from registry.toolkit.drawing import DRAWN, save_png
             from registry.training.scene_facts import warnings
 
             from .facts import MAIN, facts
@@ -101,7 +101,7 @@ class Check(Command):
         found_faults = warnings(scene)
         for text in found_faults:
             output.print(f"warning: {text}")
-        save_png(scene_picture(scene), picture)
+        save_png(scene_picture(scene), picture, {DRAWN: "stereogs check"})
         output.print(f"image  {picture}: all views, and the cameras from above")
         output.print(f"{_verdict(scene, len(found_faults))}\n  {_training_command(arguments)}")
         return 0

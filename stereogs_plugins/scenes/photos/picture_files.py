@@ -123,9 +123,12 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
             fix="set `path` to a folder with pictures",
         )
     content = list_content(folder)
+    drawn = [path for path in content.pictures if path.suffix.lower() == ".png" and _drawn(path)]
+    content.pictures[:] = [path for path in content.pictures if path not in drawn]
     without_suffix = {path.with_suffix("") for path in content.pictures}
     left_out = [LeftOut(path, COMPANION) for path in content.companions]
     left_out += [LeftOut(path, "the folder of a training run") for path in content.runs]
+    left_out += [LeftOut(path, "drawn by `stereogs check`") for path in drawn]
     left_out += [LeftOut(path, "not a picture") for path in content.others]
     for path in content.unreadable:
         if path.with_suffix("") in without_suffix:
@@ -140,6 +143,19 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
         left_out += [LeftOut(path, reason) for path in heif]
         content.pictures[:] = [path for path in content.pictures if path not in heif]
     return content.pictures, left_out
+
+
+def _drawn(path: Path) -> bool:
+    """Return whether a PNG file was drawn by a command of this program."""
+    from PIL import Image
+
+    from registry.toolkit.drawing import DRAWN
+
+    try:
+        with Image.open(path) as picture:
+            return str(picture.info.get(DRAWN, "")).startswith("stereogs ")
+    except (OSError, ValueError, SyntaxError):  # damaged: its decoding says so
+        return False
 
 
 def reason_lines(left_out: dict[int, str], names: Sequence[str]) -> list[str]:

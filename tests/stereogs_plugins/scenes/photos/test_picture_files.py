@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image, ImageFilter
 
 from registry import SceneError
+from registry.toolkit.drawing import DRAWN, save_png
 from registry.toolkit.photos import Decoder
 from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.loader import _warn_of_grey
+from stereogs_plugins.scenes.photos.picture_files import readable_pictures
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.stereogs_plugins.scenes.photos.photographs import (
     EXIF_BLOCK,
@@ -50,6 +53,17 @@ def test_a_missing_folder(tmp_path: Path) -> None:
 def reasons(folder: Path) -> dict[str, str]:
     """Why files of a folder are left out, by name."""
     return {str(path.relative_to(folder)): why for path, why in read_folder(folder).left_out}
+
+
+def test_the_picture_that_check_draws_is_left_out(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    save_png(torch.rand(20, 30, 3), tmp_path / "check.png", {DRAWN: "stereogs check"})
+    save_png(torch.rand(20, 30, 3), tmp_path / "other.png", {DRAWN: "a camera's program"})
+    pictures, left_out = readable_pictures(tmp_path)
+    assert len(pictures) == 4
+    assert [(file.path.name, file.reason) for file in left_out] == [
+        ("check.png", "drawn by `stereogs check`")
+    ]
 
 
 def test_pictures_in_other_formats_are_left_out(tmp_path: Path) -> None:
