@@ -345,6 +345,6 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
     raise SceneError(
         "\n".join(lines),
         where=str(folder),
-        fix="give the folder that holds one of them, or name the loader: `check --format NAME`, "
+        fix="give what one of them looks for, or name the loader: `check --format NAME`, "
         "`train --set scene.use=NAME`",
     )

@@ -60,7 +60,7 @@ class VideoSettings(PhotosSettings):
 class VideoScene(SceneLoader[VideoSettings]):
     """Takes sharp, well-spaced frames of a video; `photos` finds their cameras."""
 
-    recognized_by: ClassVar[str] = "a video file (.mp4, .mov, ...)"
+    recognized_by: ClassVar[str] = "the video file itself (.mp4, .mov, ...)"
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
