@@ -272,7 +272,7 @@ def open_run(
     Args:
         folder: the run folder.
         scene: needed if the run was trained on a scene made in Python; or the folder of moved data.
-        photographs: False if cameras are enough: then the scene has no images if its data cannot be loaded.
+        photographs: False accepts a scene without images, if its data cannot be loaded.
         device, accept_changed_inputs: as in `RunOptions`.
 
     Raises:

@@ -42,8 +42,8 @@ class SpzExporter(Exporter[Settings]):
             frame = Frame.around(gaussians)
             gaussians = frame.gaussians_of_file(gaussians)
             _log.warning(
-                "%s: the format cannot hold the scene's coordinates; the file's origin is at (%s), and its "
-                "unit is %g units",
+                "%s: the format cannot hold the scene's coordinates. The file's origin is the scene's "
+                "point (%s), and its unit is %g of the scene's",
                 *(path, ", ".join(f"{value:.9g}" for value in frame.center), frame.unit),
             )
         path.write_bytes(spz_bytes(half_turned(gaussians), _FRACTIONAL_BITS))

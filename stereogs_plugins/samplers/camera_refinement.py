@@ -59,7 +59,7 @@ class CameraRefinement(Sampler[CameraRefinementSettings]):
     def sample(self, step: Step, sample: Sample) -> Sample:
         """Return the sample with the view's camera moved, in autograd.
 
-        Logs the size of the motion, radians and world units.
+        Logs the size of the motion, radians and units of training.
         """
         rotation = self._rotations.of(sample.view)
         translation = self._extent * self._translations.of(sample.view)

@@ -2,5 +2,5 @@
 
 `make mutants` runs a seeded sample of them and prints how many were killed, that is, failed a test.
 
-mutmut and cosmic-ray know no OpenCL, and run one set of tests for all files.
+It is own code because the mutants include OpenCL kernels, and each file has its own tests.
 """

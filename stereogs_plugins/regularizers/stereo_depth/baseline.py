@@ -53,7 +53,7 @@ class DepthRange:
 
 
 def choose_baseline(settings: BaselineSettings, step: Step, max_disparity: float | None) -> float:
-    """Return the baseline in world units, from the current renders of the training views.
+    """Return the baseline in the frame of training, from the current renders of the training views.
 
     Adaptive: d = value * W * z_near / f_x in every training view, where z_near is the 5th percentile
     of its depth; increased until the median depth has 4 px of disparity, then decreased until near
@@ -103,7 +103,7 @@ def _check_overlap(
     else:
         return
     raise PluginError(
-        f"the baseline of {baseline:g} world units is too long: {problem}",
+        f"the baseline, `value` {baseline / unit:g}, is too long: {problem}",
         where=f"view {r.view.name!r}",
         fix=f"set baseline.mode to adaptive, or baseline.value to {largest / unit:.3g} or less",
     )

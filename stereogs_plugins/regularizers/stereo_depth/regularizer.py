@@ -75,7 +75,7 @@ class StereoDepth(Regularizer[StereoDepthSettings]):
     dropout. The loss is 0 if no pixel is valid.
 
     Logs, prefixed by the component's name: `_valid` (share of pixels in the loss), `_occluded` (share that
-    fails the check, if the prior runs), `_seconds` (in the prior, this iteration), `_baseline` (world units),
+    fails the check, if the prior runs), `_seconds` (in the prior, this iteration), `_baseline` (in training),
     and as totals of the run `_inferences`, `_reused` and `_skipped` (calls without a valid pixel).
     """
 

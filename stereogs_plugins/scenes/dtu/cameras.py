@@ -46,7 +46,7 @@ class DtuCameras:
     """Cameras by view number, with bounds and points if their file has any.
 
     Args:
-        bounds: published depth bounds in the cameras' units.
+        bounds: depth bounds in the cameras' units.
         points: points that the training views see.
     """
 

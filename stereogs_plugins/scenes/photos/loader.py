@@ -160,7 +160,8 @@ def _names(found: list[UnposedPhoto]) -> list[str]:
 def _turned_upright(loaded: LoadedPhotos) -> tuple[LoadedPhotos, list[str]]:
     """Turn photographs on their side or upside down as the others are; also return their names.
 
-    They are few: pictures that were taken straight down have no upright side.
+    None is turned if these are more than one and more than a quarter of all: pictures taken straight down
+    have no upright side.
     """
     import torch
 
@@ -200,8 +201,8 @@ def _warn_of_grey(found: list[UnposedPhoto]) -> None:
     grey = [photo.name for photo in found if photo.grey]
     if 0 < len(grey) < len(found):
         _log.warning(
-            "%d of %d photographs have no colours, %s first, and the scene's colours become paler: remove "
-            "them, or make all grey",
+            "%d of %d photographs are grey, for example %s, and make the scene's colours paler: remove them, "
+            "or make all grey",
             *(len(grey), len(found), grey[0]),
         )
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Rendering
-from registry import PluginError, Settings
+from registry import Frame, PluginError, Settings
 from registry.priors import StereoPrior
 from stereogs_plugins.regularizers.stereo_depth import StereoDepth, stereogs_register_regularizers
 from tests.stereogs_plugins.building import build, offered
@@ -267,9 +267,13 @@ def test_the_first_prior_settles_the_baseline_within_its_reach() -> None:
 
 
 def test_a_baseline_without_overlap_and_a_missing_prior_are_explained() -> None:
-    with pytest.raises(PluginError, match="too long"):
-        stereo_depth(baseline={"mode": "world", "value": 8.0}).loss(
-            Wall().step(m=told(everywhere(10.0)))
-        )
+    step = Wall().step(m=told(everywhere(10.0)))
+    # Settings and messages are in units of the files, whatever the frame of training is.
+    for unit in (1.0, 0.5):
+        placed = replace(step, scene=replace(step.scene, frame=Frame(unit=unit)))
+        with pytest.raises(PluginError, match="`value` 8, is too long") as caught:
+            stereo_depth(baseline={"mode": "world", "value": 8.0}).loss(placed)
+        most = float(caught.value.fix.split()[-3])
+        assert most == pytest.approx(unit * 0.35 * WIDTH * DEPTH / FOCAL, rel=0.01)
     with pytest.raises(PluginError, match="stereo_disparity"):
         stereo_depth().loss(Wall().step())

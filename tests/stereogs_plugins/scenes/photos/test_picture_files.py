@@ -152,7 +152,7 @@ def test_of_a_grey_and_a_coloured_copy_the_coloured_one_stays(
         ("c.jpe", True),
     ]
     _warn_of_grey(photos)
-    assert "2 of 4 photographs have no colours, 0.jpg first" in caplog.text
+    assert "2 of 4 photographs are grey, for example 0.jpg" in caplog.text
 
 
 def test_an_animation_is_left_out(tmp_path: Path) -> None:
