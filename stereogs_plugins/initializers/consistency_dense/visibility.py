@@ -6,6 +6,7 @@ True where the test holds for at least one view. Depths are 0 where unknown.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from core_rasterizer.matching import source_views
 from .projection import DepthImage, Floats, Mask, inside, look_up, project
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from core_rasterizer import Camera
 
@@ -29,13 +30,18 @@ SAME_SURFACE = 0.02
 """A point is on a surface if their depths differ by less than this, relative to the point's."""
 
 
-def source_indices(cameras: Sequence[Camera], index: int, bounds: tuple[float, float]) -> list[int]:
-    """Sorted indices of the source views of one view, chosen by triangulation angle and overlap.
+@lru_cache(maxsize=1)
+def source_indices(
+    cameras: tuple[Camera, ...], bounds: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
+    """For each view the sorted indices of its source views, chosen by triangulation angle and overlap.
+
+    The answer is kept: each step of the initializer asks for the same lists.
 
     Args:
         bounds: (near, far) z-depth of the scene's content, world units.
     """
-    return sorted(source_views(cameras, index, MAX_SOURCES, bounds))
+    return tuple(tuple(sorted(found)) for found in source_views(cameras, MAX_SOURCES, bounds))
 
 
 def in_free_space(points: Floats, views: Views) -> Mask:

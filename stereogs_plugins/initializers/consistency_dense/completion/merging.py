@@ -27,12 +27,13 @@ def surfaces(
         bounds: (near, far) z-depth of the scene's content, world units.
         merge: drop confirmed points on surfaces that an earlier view confirms.
     """
+    sources = _sources(views, bounds)
 
     def confirmed(index: int) -> Layer:
         layer = surface(views[index], views[index].confirmed > 0, stride)
         if not merge:
             return layer
-        earlier = [o for k, o in _sources(views, index, bounds).items() if k < index]
+        earlier = [views[k] for k in sources[index] if k < index]
         return layer.without(
             on_surface(layer.positions, [(o.camera, o.confirmed) for o in earlier])
         )
@@ -48,10 +49,11 @@ def surfaces(
 
 def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """Back layers of all views, except where another view contradicts them or has a surface there."""
+    sources = _sources(views, bounds)
 
     def remaining(index: int) -> Layer:
         layer = back_layer(views[index])
-        others = _sources(views, index, bounds).values()
+        others = [views[k] for k in sources[index]]
         layer = layer.without(
             in_free_space(layer.positions, [(o.camera, o.confirmed) for o in others])
         )
@@ -62,10 +64,11 @@ def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Laye
 
 def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """Margins of all views, outside the known depths of all others."""
+    sources = _sources(views, bounds)
 
     def remaining(index: int) -> Layer:
         layer = margin(views[index])
-        others = _sources(views, index, bounds).values()
+        others = [views[k] for k in sources[index]]
         known = onto_known_depth(layer.positions, [(o.camera, o.completed) for o in others])
         return layer.without(known)
 
@@ -78,7 +81,6 @@ def hidden(points: Floats, views: Sequence[ViewDepth]) -> Mask:
 
 
 def _sources(
-    views: Sequence[ViewDepth], index: int, bounds: tuple[float, float]
-) -> dict[int, ViewDepth]:
-    cameras = [view.camera for view in views]
-    return {k: views[k] for k in source_indices(cameras, index, bounds)}
+    views: Sequence[ViewDepth], bounds: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
+    return source_indices(tuple(view.camera for view in views), bounds)
