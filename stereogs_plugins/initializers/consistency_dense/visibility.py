@@ -7,7 +7,7 @@ True where the test holds for at least one view. Depths are 0 where unknown.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,14 +16,17 @@ from core_rasterizer.matching import source_views
 from .projection import DepthImage, Floats, Mask, inside, look_up, project
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from core_rasterizer import Camera
 
     Views = Iterable[tuple[Camera, DepthImage]]
 
+View = TypeVar("View")
 MAX_SOURCES = 8
 """Source views per view; more cost time and confirm hardly more."""
+MOST_VIEWS = 48
+"""Views that a test of all points looks into; all would take time quadratic in the views."""
 FREE_SPACE = 0.05
 """A point is in free space if a surface behind it is farther by more than this, relative to the point."""
 SAME_SURFACE = 0.02
@@ -42,6 +45,11 @@ def source_indices(
         bounds: (near, far) z-depth of the scene's content, world units.
     """
     return tuple(tuple(sorted(found)) for found in source_views(cameras, MAX_SOURCES, bounds))
+
+
+def spread(views: Sequence[View]) -> Sequence[View]:
+    """At most `MOST_VIEWS` views, evenly spread over the given order."""
+    return views[:: -(-len(views) // MOST_VIEWS)]
 
 
 def in_free_space(points: Floats, views: Views) -> Mask:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 from registry.toolkit.progress import in_parallel
 
 from ..layers import Layer, joined, surface
-from ..visibility import in_free_space, on_surface, onto_known_depth, source_indices, visible
+from ..visibility import (
+    in_free_space,
+    on_surface,
+    onto_known_depth,
+    source_indices,
+    spread,
+    visible,
+)
 from .back_layer import back_layer
 from .margin import margin
 
@@ -77,7 +84,7 @@ def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
 
 def hidden(points: Floats, views: Sequence[ViewDepth]) -> Mask:
     """World points `[P, 3]` that no view can see."""
-    return ~visible(points, [(view.camera, view.completed) for view in views])
+    return ~visible(points, [(view.camera, view.completed) for view in spread(views)])
 
 
 def _sources(
