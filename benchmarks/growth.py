@@ -1,8 +1,9 @@
 """CPU time by stage, and memory, against the number of views: `make bench-growth`.
 
-Trains `weightfree_fast` for 30 iterations on the procedural room (96x72) as the command line does, each number of
-views in a new process without the cache of prior answers. What is measured is recorded at once; `--views`
-measures some numbers again. With `--write-docs` the table and picture in `docs/run_time.md` are rewritten.
+Trains `weightfree_fast` for 30 iterations on the procedural room (96x72) as the command line does, each
+number of views in a new process without the cache of prior answers. What is measured is recorded at once;
+`--views` measures some numbers again. With `--write-docs` table and picture in `docs/run_time.md` are
+rewritten.
 """
 
 from __future__ import annotations
