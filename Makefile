@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
+	package runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
 	methods parts results curve profile gpu \
 	bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
 
@@ -65,6 +65,10 @@ races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, whi
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
 	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs/verbs/test_new_plugin.py
+
+package: $(VENV)/.dev ## wheels and sdists in dist/, installed into an empty environment and used there; minutes
+	$(PIP) build twine
+	PIP_EXTRA_INDEX_URL="$(TORCH_INDEX)" $(BIN)/python -m tests.release
 
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
@@ -145,14 +149,14 @@ clean: ## remove the environment and what was built
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 
 # The environment is rebuilt only when what it is made from has changed.
-$(VENV)/.runtime: pyproject.toml constraints.txt
+$(VENV)/.runtime: pyproject.toml core_rasterizer/pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) (a few minutes the first time)"
-	$(PIP) --editable '.[video]'
+	$(PIP) --editable ./core_rasterizer --editable '.[video]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
+	$(PIP) --editable ./core_rasterizer --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev
