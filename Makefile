@@ -10,8 +10,10 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
+RELEASE := $(if $(TORCH_INDEX),PIP_EXTRA_INDEX_URL=$(TORCH_INDEX)) $(BIN)/python -m tests.release
+
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	package runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
+	package pythons runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
 	methods parts results curve profile gpu \
 	bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
 
@@ -68,7 +70,12 @@ new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by
 
 package: $(VENV)/.dev ## wheels and sdists in dist/, installed into an empty environment and used there; minutes
 	$(PIP) build twine
-	PIP_EXTRA_INDEX_URL="$(TORCH_INDEX)" $(BIN)/python -m tests.release
+	$(RELEASE)
+
+# TESTS=tests runs all of them.
+pythons: $(VENV)/.dev ## tests against the built wheels on each Python from 3.11 that is installed; up to an hour
+	$(PIP) build twine
+	$(RELEASE).pythons $(TESTS)
 
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
@@ -78,9 +85,11 @@ cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker 
 	$(PIP) --editable '.[dev,cluster]'
 	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
 
-lint: $(VENV)/.dev ## ruff: rules and format
+lint: $(VENV)/.dev ## ruff: rules and format; workflow files by their schema
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy

@@ -16,12 +16,18 @@ _LINKED = ("pipelines", "protocols")
 """Folders of `stereogs_plugins` that are links to folders of these names in the root."""
 
 
-def run(*command: str | Path, folder: Path = ROOT) -> str:
-    """Return the output of a command that sees neither the checkout nor the user's data; it must succeed."""
+def clean_environment() -> dict[str, str]:
+    """Return an environment in which Python sees neither the checkout nor the user's data."""
     hidden = ("PYTHONPATH", "STEREOGS_DATA", "STEREOGS_MODELS", "STEREOGS_PLUGINS")
-    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    return {name: value for name, value in os.environ.items() if name not in hidden}
+
+
+def run(*command: str | Path, folder: Path = ROOT) -> str:
+    """Return the output of a command in a clean environment; it must succeed."""
     words = [str(word) for word in command]
-    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        words, cwd=folder, env=clean_environment(), capture_output=True, text=True
+    )
     if done.returncode:
         raise SystemExit(f"{' '.join(words)} failed:\n{done.stdout}{done.stderr}")
     return done.stdout
@@ -55,7 +61,7 @@ def _compare(wheel: Path, packages: list[str]) -> None:
 
 def _installed_name(file: str) -> str:
     """The name of a tracked file in a wheel; "" if it stays out."""
-    folder, _, name = file.partition("/")
+    folder = file.partition("/")[0]
     if folder in _LINKED:
         return f"stereogs_plugins/{file}" if file.endswith(".yaml") else ""
     outside = {f"stereogs_plugins/{link}" for link in _LINKED}
