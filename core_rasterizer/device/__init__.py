@@ -5,6 +5,7 @@ from .array import DeviceArray, Scratch
 from .choice import Description, choose
 from .device import Device, Kind, list_devices, open_device
 from .host_pool import host_pool
+from .intel_runtime import INTEL
 from .memory import CORRECT_CPU_NAME
 from .profile import DeviceProfile, Variant
 from .program import Program
@@ -12,6 +13,7 @@ from .trial import Trial, described, tried
 
 __all__ = [
     "CORRECT_CPU_NAME",
+    "INTEL",
     "Description",
     "Device",
     "DeviceArray",

@@ -6,16 +6,18 @@ read-only, and ends the process if the disk is full. pyopencl raises an error of
 
 from __future__ import annotations
 
-import atexit
 import logging
 import os
 import shutil
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import DeviceError
+from .intel_runtime import INTEL, offer_intel_runtime
+from .temporary import folder_until_exit
 
 if TYPE_CHECKING:
     import pyopencl as cl
@@ -25,6 +27,10 @@ POCL_CACHE_DIR = "POCL_CACHE_DIR"
 _PYOPENCL_NO_CACHE = "PYOPENCL_NO_CACHE"
 """Environment variable: 1 keeps nothing. pyopencl reads it when it is imported."""
 _POCL = "Portable Computing Language"
+_ADVICE = {
+    "linux": "`pip install pocl-binary-distribution` brings one for x86-64 CPUs",
+    "win32": f"`{INTEL}` brings one for x86-64 CPUs",
+}
 _SPACE = 20_000_000
 """Bytes that a folder needs; all kernels of a run take one million."""
 _log = logging.getLogger(__name__)
@@ -46,7 +52,7 @@ def platforms() -> list[cl.Platform]:
 def no_device() -> DeviceError:
     """Return the error that says why no device is listed."""
     names = [str(platform.name) for platform in platforms()]
-    driver = "`pip install pocl-binary-distribution` brings one for any CPU"
+    driver = _ADVICE.get(sys.platform, "the maker of your GPU or CPU has one")
     if not names:
         return DeviceError("no OpenCL platform was found", fix=f"install a driver: {driver}")
     if any(_POCL in name for name in names) and (problem := problem_of(_pocl_cache())):
@@ -80,10 +86,9 @@ def _provide_pocl_cache() -> None:
         return
     advice = f"set {POCL_CACHE_DIR} to a folder on a disk with free space"
     try:
-        other = Path(tempfile.mkdtemp(prefix="pocl-"))
+        other = folder_until_exit("pocl-")
     except OSError:  # no device is found then, which `no_device` explains
         return
-    atexit.register(_remove, other, os.getpid())
     if remaining := problem_of(other):
         _log.warning(
             "PoCL's cache %s %s, and %s %s: PoCL may end the process (LLVM ERROR); %s",
@@ -120,9 +125,5 @@ def _caches() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
 
 
-def _remove(folder: Path, process: int) -> None:
-    if os.getpid() == process:  # not in its forked children
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 _skip_pyopencl_cache()
+offer_intel_runtime()

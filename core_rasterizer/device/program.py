@@ -12,6 +12,7 @@ import pyopencl as cl
 from ..errors import DeviceError
 from ..layout import KERNEL_HEADER
 from .array import DeviceArray
+from .intel_runtime import INTEL
 from .memory import DeviceMemory
 from .signature import signatures
 
@@ -19,6 +20,13 @@ _PACKAGE = __package__.rpartition(".")[0]
 _BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-no-signed-zeros")
 _FOR_CPUS = ("-cl-mad-enable",)
 """Not for GPUs: a compiler may fuse the same products and sums in one kernel and not in another."""
+
+_UNKNOWN = "unknown target CPU"
+"""Clang's word for a processor that is newer than itself."""
+_UNKNOWN_FIX = (
+    f"{INTEL}: this driver is older than the processor; that one knows it and is then used"
+)
+_FIX = "update the OpenCL driver, or choose another device; `stereogs doctor` lists them"
 
 
 class Program:
@@ -40,7 +48,7 @@ class Program:
             raise DeviceError(
                 f"the OpenCL compiler of {device.name!r} failed on the kernels {', '.join(sources)}",
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
-                fix="update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
+                fix=_UNKNOWN_FIX if _UNKNOWN in str(error) else _FIX,
             ) from error
         self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
