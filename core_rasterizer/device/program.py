@@ -12,7 +12,7 @@ import pyopencl as cl
 from ..errors import DeviceError
 from ..layout import KERNEL_HEADER
 from .array import DeviceArray
-from .intel_runtime import INTEL
+from .drivers import INTEL
 from .memory import DeviceMemory
 from .signature import signatures
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from core_rasterizer.device import intel_runtime
-from core_rasterizer.device.intel_runtime import installed_library, offer_intel_runtime
+from core_rasterizer.device import drivers
+from core_rasterizer.device.drivers import _offer_intel_runtime, intel_library
 
 VARIABLES = ("OCL_ICD_VENDORS", "OCL_ICD_FILENAMES")
 
@@ -24,7 +24,7 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     system = tmp_path / "vendors"
     system.mkdir()
     (system / "other.icd").write_text("libother.so\n", "utf-8")
-    monkeypatch.setattr(intel_runtime, "_SYSTEM", system)
+    monkeypatch.setattr(drivers, "_SYSTEM", system)
     monkeypatch.setattr("sys.path", [str(site)])
     for name in VARIABLES:
         monkeypatch.setenv(name, "")
@@ -34,7 +34,7 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_it_is_named_beside_the_drivers_of_the_system(library: Path) -> None:
-    offer_intel_runtime()
+    _offer_intel_runtime()
     files = sorted(Path(os.environ["OCL_ICD_VENDORS"]).iterdir())
     texts = [file.read_text("utf-8") for file in files]
     assert texts == [f"{library}\n", "libother.so\n"]
@@ -42,9 +42,9 @@ def test_it_is_named_beside_the_drivers_of_the_system(library: Path) -> None:
 
 
 def test_a_choice_of_the_user_stays(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert installed_library() == library
+    assert intel_library() == library
     monkeypatch.setenv("OCL_ICD_VENDORS", "/mine")
-    offer_intel_runtime()
+    _offer_intel_runtime()
     assert os.environ["OCL_ICD_VENDORS"] == "/mine"
 
 
@@ -55,14 +55,14 @@ def test_without_it_nothing_is_set(
     library.unlink()
     if left == "nothing":
         monkeypatch.setattr("sys.path", [])
-    offer_intel_runtime()
+    _offer_intel_runtime()
     assert os.environ["OCL_ICD_VENDORS"] == ""
 
 
 def test_windows_has_another_variable(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "before")
     monkeypatch.setattr("sys.platform", "win32")
-    offer_intel_runtime()
+    _offer_intel_runtime()
     assert os.environ["OCL_ICD_FILENAMES"] == str(library)
     assert os.environ["PATH"] == os.pathsep.join((str(library.parent), "before"))
     assert os.environ["OCL_ICD_VENDORS"] == ""
