@@ -101,13 +101,12 @@ class Device(DeviceMemory):
         """The same device without shared memory: transfers are copied and counted."""
         return Device(self._handle, self.variant, shares_memory=False)
 
-    def program(
-        self, *sources: str | KernelText, dtype: torch.dtype, **defines: float
-    ) -> Program:
+    def program(self, *sources: str | KernelText, dtype: torch.dtype, **defines: float) -> Program:
         """Build kernel files together, once for each combination of settings.
 
         Args:
-            sources: "folder/name" for the file `folder/kernels/name.cl`, or a text; `device/lanes` comes first.
+            sources: "folder/name" for the file `folder/kernels/name.cl`, or a text;
+                `device/lanes` comes first.
             dtype: torch.float32 or torch.float64, the type `real` of the kernels.
             defines: macros and their values.
 

@@ -102,7 +102,7 @@ def _on_device(rendering: Rendering, target: Tensor, device: Device | None) -> O
     outputs = rendering.device_outputs
     if outputs is None or tuple(target.shape) != (*outputs.images.size, _CHANNELS):
         return None
-    fits = device in (None, outputs.images.device) and not outputs.images.full
+    fits = device in (None, outputs.images.device) and outputs.images.fits(1)
     return outputs if fits else None
 
 

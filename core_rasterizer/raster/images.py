@@ -20,8 +20,8 @@ ImageGradient = Tensor | DeviceArray | None
 _GROUP = 64
 _LARGEST = 1e37
 """Larger gradients are read by the host, which refuses what is not finite."""
-LOSSES = 16
-"""Losses on the device whose gradients a render's images can keep."""
+LOSSES = 64
+"""Gradients of losses on the device that a render's images can keep."""
 
 
 @dataclass
@@ -75,13 +75,12 @@ class Images:
         """Wait for the device; `[H, W, 3]` or `[H, W]` on the CPU."""
         return self._read(self._arrays[name], name)
 
-    @property
-    def full(self) -> bool:
-        """Whether no further loss can keep its gradients here."""
-        return len(self._kept) == LOSSES
+    def fits(self, count: int) -> bool:
+        """Whether `keep` can be called so many times more."""
+        return len(self._kept) + count <= LOSSES
 
     def keep(self, *names: str) -> Kept:
-        """Return arrays for the gradients of a loss on the device, to be written; at most `LOSSES` times.
+        """Return arrays for the gradients of a loss on the device, to be written; see `fits`.
 
         Call this while the render is in autograd; later the frame may be reused.
 
@@ -120,8 +119,8 @@ class Images:
                     where=f"backward of a render: {name}",
                     fix="work on a copy (`tensor.clone()`)",
                 )
-        factors = [] if losses is None else losses.tolist()
-        used = [(kept, factor) for kept, factor in zip(self._kept, factors) if factor != 0]
+        factors = [0.0] * LOSSES if losses is None else losses.tolist()
+        used = [(kept, factors[kept.slot]) for kept in self._kept if factors[kept.slot] != 0]
         return (
             self._total("rgb", rgb, used),
             self._total("depth", depth, used),

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from ..device import Device, DeviceArray, Scratch
-from ..errors import ExplainedError
 from ..layout import COUNTERS, GAUSSIAN, PAIR, PARAMETER_BITS, row_count
 from .block import Block
 from .budget import Budget
@@ -362,9 +361,7 @@ class Renderer:
     def _capacity_of(self, frame: Frame) -> int:
         return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
 
-    def _image_gradient(
-        self, gradient: ImageGradient, size: int, name: str
-    ) -> DeviceArray:
+    def _image_gradient(self, gradient: ImageGradient, size: int, name: str) -> DeviceArray:
         if isinstance(gradient, DeviceArray):
             return gradient
         if gradient is None:
