@@ -117,7 +117,8 @@ class Rendering:
     @property
     def fetched(self) -> dict[str, Tensor]:
         """The images that have been accessed, by name."""
-        return {name: vars(self)[name] for name in ("rgb", "depth", "alpha") if name in vars(self)}
+        known = vars(self)
+        return {name: known[name] for name in ("rgb", "depth", "alpha") if name in known}
 
     @property
     def device_outputs(self) -> Outputs | None:
