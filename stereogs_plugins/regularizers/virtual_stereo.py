@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Kind = Literal["accumulated", "expected"]
 HELPERS = """
 #define MIN_ALPHA (3 / (real)10) /* for depth / alpha: dropout and decay leave less than 1 on surfaces */
-#define EDGE (33 / (real)100)    /* decay of the smoothness with the photograph's gradient (the authors' code) */
+#define EDGE (33 / (real)100)    /* decay of the smoothness at edges of the photograph (the authors' code) */
 
 #if HAS_trained
 #define TRAINED(q) trained[q]
@@ -49,6 +49,7 @@ typedef GLUE(REAL_NAME, 4) four;
 #define ABS(v) ((v) < 0 ? -(v) : (v))
 #define SIGN(v) ((real)((v) > 0) - (real)((v) < 0))
 #define OF_FOUR(f) (four)(f(q0), f(q1), f(q2), f(q3))
+#define CONTRAST(f) ABS(OF_FOUR(f) - f(p))
 #define RED(q) target[3 * (q)]
 #define GREEN(q) target[3 * (q) + 1]
 #define BLUE(q) target[3 * (q) + 2]
@@ -78,11 +79,11 @@ if (smoothness > 0) {
     const int q0 = x + 2 < width && SEEN(p + 2) ? p + 2 : p, q1 = x >= 2 && SEEN(p - 2) ? p - 2 : p;
     const int q2 = y + 2 < height && SEEN(p + 2 * width) ? p + 2 * width : p;
     const int q3 = y >= 2 && SEEN(p - 2 * width) ? p - 2 * width : p;
-    const real across = smoothness / ((real)(width - 2) * height);
-    const real down = smoothness / ((real)(height - 2) * width);
-    const four shares = (four)(q0 > p ? across : 0, q1 < p ? across : 0, q2 > p ? down : 0, q3 < p ? down : 0);
+    const real across = smoothness / ((real)(width > 2 ? width - 2 : 1) * height);
+    const real down = smoothness / ((real)(height > 2 ? height - 2 : 1) * width);
+    const four shares = (four)(across * (q0 > p), across * (q1 < p), down * (q2 > p), down * (q3 < p));
     const four slopes = (moves / OF_FOUR(DEPTH) - disparity) / 2;
-    const four edges = ABS(OF_FOUR(RED) - RED(p)) + ABS(OF_FOUR(GREEN) - GREEN(p)) + ABS(OF_FOUR(BLUE) - BLUE(p));
+    const four edges = CONTRAST(RED) + CONTRAST(GREEN) + CONTRAST(BLUE);
     const four weights = shares * exp(edges * (-EDGE / 6));
     const four changes = slopes > 0 ? weights : slopes < 0 ? -weights : 0;
     loss += weights.s0 * ABS(slopes.s0) + weights.s2 * ABS(slopes.s2);
