@@ -154,14 +154,15 @@ class PixelTerm:
         self, name: str, rendering: Rendering, device: Device
     ) -> dict[str, Tensor | _OnDevice]:
         """The images of a rendering that the source names."""
-        outputs, found = rendering.device_outputs, dict[str, Tensor | _OnDevice]()
-        ours = outputs and outputs.images.device is device
+        outputs = rendering.device_outputs
+        if outputs and not (
+            outputs.images.device is device and outputs.images.fits(len(self.gradients))
+        ):
+            outputs = None
+        found = dict[str, Tensor | _OnDevice]()
         for image in CHANNELS:
-            if f"{name}_{image}" in self._words:
-                there = outputs and ours and outputs.images.fits(len(self.gradients))
-                found[f"{name}_{image}"] = (
-                    _OnDevice(outputs, image) if there else getattr(rendering, image)
-                )
+            if (title := f"{name}_{image}") in self._words:
+                found[title] = _OnDevice(outputs, image) if outputs else getattr(rendering, image)
         return found
 
     def _size_and_type(

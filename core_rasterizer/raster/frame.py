@@ -42,7 +42,7 @@ class Frame:
         """Prepare for reuse: results of the last render that are still referenced keep their arrays."""
         if self._coverage is not None and self._coverage() is not None:
             self.arrays.give_away("slot_count")
-        images = self._images and self._images()
+        images = None if self._images is None else self._images()
         if images is not None:
             self.arrays.give_away(*images.names)
         self._coverage = self._images = None
