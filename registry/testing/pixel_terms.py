@@ -101,7 +101,8 @@ def _replaced(given: dict[str, Any], images: dict[str, Tensor]) -> dict[str, Any
 
     def of(name: str, value: Any) -> Any:
         if isinstance(value, Rendering):
-            return Rendering(**{i: double(f"{name}_{i}", getattr(value, i)) for i in _IMAGES})
+            rgb, depth, alpha = (double(f"{name}_{i}", getattr(value, i)) for i in _IMAGES)
+            return Rendering(rgb, depth, alpha)
         return double(name, value) if isinstance(value, Tensor) else value
 
     return {name: of(name, value) for name, value in given.items()}
