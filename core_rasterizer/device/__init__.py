@@ -7,7 +7,7 @@ from .device import Device, Kind, list_devices, open_device
 from .host_pool import host_pool
 from .memory import CORRECT_CPU_NAME
 from .profile import DeviceProfile, Variant
-from .program import Program
+from .program import KernelText, Program
 from .trial import Trial, described, tried
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Device",
     "DeviceArray",
     "DeviceProfile",
+    "KernelText",
     "Kind",
     "Program",
     "Scratch",
