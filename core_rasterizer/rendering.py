@@ -51,19 +51,19 @@ class Rendering:
         rgb: Tensor,
         depth: Tensor,
         alpha: Tensor,
-        loss: Tensor,
+        losses: Tensor,
         images: Images,
         coverage: Coverage,
     ) -> Rendering:
         """A rendering by the engine.
 
         Args:
-            rgb, depth, alpha, loss: `Images.outputs` as returned by the autograd function.
+            rgb, depth, alpha, losses: `Images.outputs` as returned by the autograd function.
             images: on the device.
         """
         from .raster import Outputs
 
-        outputs = Outputs(images, (rgb, depth, alpha, loss))
+        outputs = Outputs(images, (rgb, depth, alpha, losses))
         rendering = cls.lazy(outputs.fetch, coverage)
         vars(rendering)["outputs"] = outputs
         return rendering
@@ -117,7 +117,8 @@ class Rendering:
     @property
     def fetched(self) -> dict[str, Tensor]:
         """The images that have been accessed, by name."""
-        return {name: vars(self)[name] for name in ("rgb", "depth", "alpha") if name in vars(self)}
+        known = vars(self)
+        return {name: known[name] for name in ("rgb", "depth", "alpha") if name in known}
 
     @property
     def device_outputs(self) -> Outputs | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 from core_rasterizer.errors import ExplainedError
@@ -35,41 +33,51 @@ class Callee(Protocol):
         """How a user can work around it if it fails."""
 
 
-@contextmanager
-def blame(callee: Callee, iteration: int | None = None) -> Iterator[None]:
-    """Name the component in every error that leaves the block.
+class blame:
+    """A context that names the component in every error that leaves the block.
 
     An `ExplainedError` keeps its type and text; the component is added to its `where`, and a fix if it has
     none. Any other exception, and an attempt to exit, becomes a `PluginError` with the original as its
     cause. Ctrl-C passes, with a note that names the component.
 
+    The contexts of every call are classes: a generator would take several times as long.
+
     Args:
         iteration: of training, or None outside the loop.
     """
-    try:
-        yield
-    except ExplainedError as error:
-        culprit = _in_iteration(callee, iteration)
+
+    __slots__ = ("_callee", "_iteration")
+
+    def __init__(self, callee: Callee, iteration: int | None = None) -> None:
+        self._callee, self._iteration = callee, iteration
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None:
+            _name(self._callee, self._iteration, error)
+
+
+def _name(callee: Callee, iteration: int | None, error: BaseException) -> None:
+    """Add the component to an error, or raise one that names it instead."""
+    culprit = _in_iteration(callee, iteration)
+    if isinstance(error, ExplainedError):
         error.where = f"{error.where}; in {culprit}" if error.where else culprit
         error.fix = error.fix or callee.advice
-        raise
-    except KeyboardInterrupt as stop:
-        stop.add_note(f"while {_in_iteration(callee, iteration)} was at work")
-        raise
-    except Hang as hang:
-        if hang.call.who != str(callee):
-            raise  # another component hangs, which this one called or was called by
-        raise hang.explained() from None
-    except BaseException as error:  # SystemExit and panics of compiled libraries too
-        if out_of_memory(error):
-            raise PluginError(
-                f"memory ran out in the {callee.kind}: {_text(error)}",
-                where=_in_iteration(callee, iteration),
-                fix=FREE_MEMORY,
-            ) from error
+    elif isinstance(error, KeyboardInterrupt):
+        error.add_note(f"while {culprit} was at work")
+    elif isinstance(error, Hang):
+        if error.call.who == str(callee):  # else another hangs, which it called or was called by
+            raise error.explained() from None
+    elif out_of_memory(error):
+        raise PluginError(
+            f"memory ran out in the {callee.kind}: {_text(error)}", where=culprit, fix=FREE_MEMORY
+        ) from error
+    else:  # SystemExit and panics of compiled libraries too
         raise PluginError(
             f"the {callee.kind} failed: {_text(error)}",
-            where=_in_iteration(callee, iteration),
+            where=culprit,
             fix=f"{callee.advice}; STEREOGS_TRACE=1 shows the whole traceback",
         ) from error
 

@@ -34,7 +34,8 @@ class _Call(NamedTuple):
     random_numbers: bool = True
 
 
-_CALL: ContextVar[_Call] = ContextVar("call")
+_OUTSIDE = _Call()
+_CALL: ContextVar[_Call] = ContextVar("call", default=_OUTSIDE)
 
 
 @contextmanager
@@ -57,25 +58,24 @@ def calling(
         iteration: of training; None outside the loop, or for the iteration of the calling component.
         guard: data that it receives, besides those of the calling component.
     """
-    outer = _CALL.get(_Call())
-    call = _Call(iteration, outer.guard + guard, checks.random_numbers)
+    outer, random_numbers = _CALL.get(), checks.random_numbers
     if iteration is None:
-        both = checks.random_numbers and outer.random_numbers
-        call = call._replace(iteration=outer.iteration, random_numbers=both)
-    random_numbers: AbstractContextManager[None] = nullcontext()
-    if call.iteration is None:
-        random_numbers = own_random_numbers(seed)
-    elif call.random_numbers:
-        random_numbers = no_global_random_numbers()
+        iteration, random_numbers = outer.iteration, random_numbers and outer.random_numbers
+    call = _Call(iteration, outer.guard + guard, random_numbers)
+    generators: AbstractContextManager[None] = nullcontext()
+    if iteration is None:
+        generators = own_random_numbers(seed)
+    elif random_numbers:
+        generators = no_global_random_numbers()
     name = str(callee)
     token = _CALL.set(call)
     try:
         with (
-            blame(callee, call.iteration),
-            WATCHDOG.watching(name, call.iteration),
+            blame(callee, iteration),
+            WATCHDOG.watching(name, iteration),
             LEDGER.watching(name),
             left_as_found(name, threads=not callee.point.observes),
-            random_numbers,
+            generators,
             call.guard.kept(every_bit=checks.every_bit),
         ):
             yield

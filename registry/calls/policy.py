@@ -24,6 +24,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import cache
 
 SAMPLED_EVERY = 11
 """Calls in the loop between two with longer checks. A prime: if a component does something else in every
@@ -55,8 +56,11 @@ class Checks:
 
 def in_loop(number: int) -> Checks:
     """Checks of a call in the training loop; `number` counts the component's calls from 0."""
-    checked = plugins_are_checked()
-    sampled = number % SAMPLED_EVERY == 0
+    return _in_loop(min(number, 2), number % SAMPLED_EVERY == 0, plugins_are_checked())
+
+
+@cache
+def _in_loop(number: int, sampled: bool, checked: bool) -> Checks:
     longer = sampled or checked
     repeated = number == 1 or (sampled and checked)
     return Checks(longer, checked or number == 0, longer, math.inf if repeated else None)

@@ -10,9 +10,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import PluginError
 
@@ -40,21 +40,34 @@ _TORCH = {
 """Functions that read and write torch's state, and what to do instead of changing it."""
 
 
-def _shared() -> Iterator[tuple[str, Callable[[], Any], Callable[[Any], None], str]]:
-    """Yield name, functions that read and write it, and fix, of each part of the process's state."""
-    yield "the working directory", _folder, os.chdir, "give paths in full instead of os.chdir"
-    if torch := sys.modules.get("torch"):
+class _Shared(NamedTuple):
+    """A part of the process's state; `fix` says what to do instead of changing it."""
+
+    name: str
+    read: Callable[[], Any]
+    write: Callable[[Any], None]
+    fix: str
+
+
+@cache
+def _shared(with_torch: bool) -> tuple[_Shared, ...]:
+    """Return the parts of the process's state; `with_torch`: torch is imported."""
+    fix = "give paths in full instead of os.chdir"
+    parts = [_Shared("the working directory", _folder, os.chdir, fix)]
+    if with_torch:
+        torch = sys.modules["torch"]
         for name, (read, write, fix) in _TORCH.items():
-            yield f"torch's {name}", getattr(torch, read), getattr(torch, write), fix
+            read, write = getattr(torch, read), getattr(torch, write)
+            parts.append(_Shared(f"torch's {name}", read, write, fix))
         # Read from there in a hundredth of the time of torch.get_default_device().
         device = partial(getattr, import_module("torch.utils._device"), "CURRENT_DEVICE")
         fix = "give tensors a device where they are made"
-        yield "torch's default device", device, torch.set_default_device, fix
+        parts.append(_Shared("torch's default device", device, torch.set_default_device, fix))
+    return tuple(parts)
 
 
-@contextmanager
-def left_as_found(who: object, *, threads: bool = True) -> Iterator[None]:
-    """Restore the process's state after the block, and refuse a block that changed it.
+class left_as_found:
+    """A context that restores the process's state after the block, and refuses a block that changed it.
 
     The state is the working directory, and torch's default device, gradient mode, default type and number
     of threads.
@@ -66,24 +79,37 @@ def left_as_found(who: object, *, threads: bool = True) -> Iterator[None]:
     Raises:
         PluginError: a part was changed; names the first.
     """
-    shared = list(_shared())
-    before = [read() for _, read, _, _ in shared]
-    count = threading.active_count()
-    changed: list[tuple[str, str]] = []
-    try:
-        yield
-    finally:
-        for value, (name, read, write, fix) in zip(before, shared, strict=True):
-            if read() != value:
-                write(value)
-                changed.append((name, fix))
-    if threads and threading.active_count() > count and str(who) not in _WARNED_OF_THREADS:
-        _WARNED_OF_THREADS.add(str(who))
+
+    __slots__ = ("_before", "_count", "_shared", "_threads", "_who")
+
+    def __init__(self, who: object, *, threads: bool = True) -> None:
+        self._who, self._threads = who, threads
+
+    def __enter__(self) -> None:
+        self._shared = _shared("torch" in sys.modules)
+        self._before = [part.read() for part in self._shared]
+        self._count = threading.active_count()
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        changed = []
+        for value, part in zip(self._before, self._shared, strict=True):
+            if part.read() != value:
+                part.write(value)
+                changed.append(part)
+        if error is not None:
+            return
+        if self._threads and threading.active_count() > self._count:
+            _warn_of_threads(str(self._who), self._count)
+        if changed:
+            raise PluginError(f"it changed {changed[0].name}", fix=changed[0].fix)
+
+
+def _warn_of_threads(who: str, count: int) -> None:
+    """Warn of threads that are running besides the first `count`, once for each `who`."""
+    if who not in _WARNED_OF_THREADS:
+        _WARNED_OF_THREADS.add(who)
         names = ", ".join(repr(thread.name) for thread in threading.enumerate()[count:])
         _log.warning("%s left a thread running: %s; join it before you return", who, names)
-    if changed:
-        name, fix = changed[0]
-        raise PluginError(f"it changed {name}", fix=fix)
 
 
 @contextmanager

@@ -6,8 +6,7 @@ or `.data`, are only found by comparing every bit; `policy` says when.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -42,14 +41,15 @@ class ReadOnlyGuard:
     renderings: tuple[Rendering, ...] = ()
 
     def __add__(self, other: ReadOnlyGuard) -> ReadOnlyGuard:
+        if self is NOTHING or other is NOTHING:
+            return other if self is NOTHING else self
         return ReadOnlyGuard(
             {**self.tensors, **other.tensors},
             self.models + other.models,
             self.renderings + other.renderings,
         )
 
-    @contextmanager
-    def kept(self, *, every_bit: bool = False) -> Iterator[None]:
+    def kept(self, *, every_bit: bool = False) -> _Kept:
         """Refuse a block that writes into the data, runs a backward pass or registers a hook.
 
         Args:
@@ -58,31 +58,7 @@ class ReadOnlyGuard:
         Raises:
             PluginError: names the first.
         """
-        tensors = {**self.tensors, **self._images(fetch=every_bit)}
-        marks = _marks(tensors.values())
-        passes = [model.backward_passes for model in self.models]
-        copies = [tensor.detach().clone() for tensor in tensors.values()] if every_bit else []
-        compared = self.models if every_bit else ()
-        gaussians = [vars(model.gaussians()) for model in compared]
-        yield
-        if passes != [model.backward_passes for model in self.models]:
-            raise PluginError(
-                "it ran a backward pass into the Gaussians: others' gradients would be wrong",
-                fix="return the loss, and leave `backward` to the host",
-            )
-        for name, image in self._images().items():
-            if name not in tensors:  # fetched within the block, with no writes before
-                tensors[name] = image
-                marks.append((0, image.requires_grad, None))
-        after = _marks(tensors.values())
-        if after != marks:
-            _refuse_change(tensors, marks, after)
-        for (name, tensor), copy in zip(tensors.items(), copies, strict=False):
-            if not _same(tensor, copy):
-                raise _overwritten(name)
-        for model, parameters in zip(compared, gaussians, strict=True):
-            if not all(_same(model.read(name), values) for name, values in parameters.items()):
-                raise _overwritten("the Gaussians")
+        return _Kept(self, every_bit)
 
     def _images(self, fetch: bool = False) -> dict[str, Tensor]:
         """Return the fetched images of the renderings, or fetch and return all."""
@@ -92,6 +68,54 @@ class ReadOnlyGuard:
                 _ = rendering.rgb, rendering.depth, rendering.alpha
             images |= {f"the rendered {name}": image for name, image in rendering.fetched.items()}
         return images
+
+
+class _Kept:
+    """The context of `ReadOnlyGuard.kept`."""
+
+    __slots__ = ("_copies", "_every_bit", "_gaussians", "_guard", "_marks", "_passes", "_tensors")
+
+    def __init__(self, guard: ReadOnlyGuard, every_bit: bool) -> None:
+        self._guard, self._every_bit = guard, every_bit
+
+    def __enter__(self) -> None:
+        guard = self._guard
+        self._tensors: Mapping[str, Tensor] = guard.tensors
+        if guard.renderings:
+            self._tensors = {**guard.tensors, **guard._images(fetch=self._every_bit)}
+        self._marks = _marks(self._tensors.values())
+        self._passes = [model.backward_passes for model in guard.models]
+        if self._every_bit:
+            self._copies = [tensor.detach().clone() for tensor in self._tensors.values()]
+            self._gaussians = [vars(model.gaussians()) for model in guard.models]
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None:
+            return
+        guard, tensors, marks = self._guard, self._tensors, self._marks
+        if self._passes != [model.backward_passes for model in guard.models]:
+            raise PluginError(
+                "it ran a backward pass into the Gaussians: others' gradients would be wrong",
+                fix="return the loss, and leave `backward` to the host",
+            )
+        if guard.renderings:
+            # Those fetched within the block come last, with no writes before.
+            more = {n: image for n, image in guard._images().items() if n not in tensors}
+            tensors = {**tensors, **more}
+            marks = marks + [(0, image.requires_grad, None) for image in more.values()]
+        after = _marks(tensors.values())
+        if after != marks:
+            _refuse_change(tensors, marks, after)
+        if self._every_bit:
+            self._compare_bits()
+
+    def _compare_bits(self) -> None:
+        for (name, tensor), copy in zip(self._tensors.items(), self._copies, strict=True):
+            if not _same(tensor, copy):
+                raise _overwritten(name)
+        for model, parameters in zip(self._guard.models, self._gaussians, strict=True):
+            if not all(_same(model.read(name), values) for name, values in parameters.items()):
+                raise _overwritten("the Gaussians")
 
 
 NOTHING = ReadOnlyGuard()

@@ -37,7 +37,7 @@ _RESUME = "`stereogs resume RUN` continues from the run's last checkpoint"
 _log = logging.getLogger("stereogs")
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Call:
     """A call into a plugin.
 
@@ -102,30 +102,32 @@ class Watchdog:
         self._limit: float | None = None
         self._thread: threading.Thread | None = None
 
-    @contextmanager
-    def watching(self, who: object, iteration: int | None = None) -> Iterator[None]:
+    def watching(self, who: object, iteration: int | None = None) -> _Watching:
         """Watch the block as a call.
 
         Args:
             who: its text names the plugin.
             iteration: of training; None outside the loop.
         """
+        return _Watching(self, who, iteration)
+
+    def _begin(self, who: object, iteration: int | None) -> tuple[list[Call], int, float]:
+        """Record a call; return the calls of this thread, their number before, and the time."""
         if self._thread is None and self._look_every is not None:
             self._thread = threading.Thread(
                 target=self._watch, name="stereogs watchdog", daemon=True
             )
             self._thread.start()
         calls = self._calls.setdefault(threading.get_ident(), [])
-        depth = len(calls)
-        began = self._clock()
+        depth, began = len(calls), self._clock()
         calls.append(Call(who, iteration, began))
-        try:
-            yield
-        finally:
-            del calls[depth:]  # a `Hang` may have skipped the end of an inner block
-            took = self._clock() - began
-            if took > self._longest.get(who, 0.0):
-                self._longest[who] = took
+        return calls, depth, began
+
+    def _end(self, who: object, calls: list[Call], depth: int, began: float) -> None:
+        del calls[depth:]  # a `Hang` may have skipped the end of an inner block
+        took = self._clock() - began
+        if took > self._longest.get(who, 0.0):
+            self._longest[who] = took
 
     def progressed(self, *, began: bool) -> None:
         """Note a report of progress; `began`: of a new stage, in which there may be a warning again."""
@@ -206,6 +208,19 @@ class Watchdog:
         hung = self._hung()
         if hung is not None and self._limit is not None:
             raise Hang(hung, self._limit)
+
+
+class _Watching:
+    __slots__ = ("_begun", "_dog", "_iteration", "_who")
+
+    def __init__(self, dog: Watchdog, who: object, iteration: int | None) -> None:
+        self._dog, self._who, self._iteration = dog, who, iteration
+
+    def __enter__(self) -> None:
+        self._begun = self._dog._begin(self._who, self._iteration)
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._dog._end(self._who, *self._begun)
 
 
 WATCHDOG = Watchdog()

@@ -89,8 +89,9 @@ def check_sample(sample: Any, step: Step, given: Sample) -> Sample:
             f"the target is {target.dtype} {tuple(target.shape)}, expected torch.float32 {expected}",
             fix="give the sample a camera of the target's size",
         )
-    low, high = target.aminmax()  # one pass; a NaN becomes both and compares as false
-    if not 0 <= low <= high <= 1:
+    # A photograph was checked with the scene, and is guarded like it.
+    same_view = checked.view is given.view
+    if not ((same_view and target is given.view.image) or _in_unit_range(target)):
         raise PluginError("the target has values outside [0, 1] or not finite")
     if checked.weights is not None:
         weights = _tensor("the weights", checked.weights)
@@ -99,11 +100,10 @@ def check_sample(sample: Any, step: Step, given: Sample) -> Sample:
                 f"the weights are {weights.dtype} {tuple(weights.shape)}, the target {expected}",
                 fix="change the size of `Sample.weights` with the target's",
             )
-        low, high = weights.aminmax()
-        if not 0 <= low <= high <= 1:
+        if not ((same_view and weights is given.view.weights) or _in_unit_range(weights)):
             raise PluginError("the weights have values outside [0, 1] or not finite")
     kept = checked.weights is given.weights
-    if checked.view is not given.view and kept and checked.weights is not checked.view.weights:
+    if not same_view and kept and checked.weights is not checked.view.weights:
         raise PluginError(
             "the sample has another view, but the weights of the one before",
             fix="replace both: `weights=view.weights`",
@@ -263,11 +263,16 @@ def _floats(what: str, value: Any, shape: Sequence[int], *, pixels: bool = False
     return tensor
 
 
+def _in_unit_range(values: Tensor) -> bool:
+    low, high = map(float, values.aminmax())  # one pass; a NaN becomes both and compares as false
+    return 0 <= low <= high <= 1
+
+
 def _refuse_outside(values: Tensor, least: float, most: float, what: str) -> None:
     """Raise a `PluginError` at the first Gaussian whose value `[N]`, which is finite, is out of range."""
     if not values.numel():
         return
-    low, high = values.detach().aminmax()  # a fifth of the time of comparing all values
+    low, high = map(float, values.detach().aminmax())  # a fifth of the time of comparing all values
     if low < least or high > most:
         outside = (values < least) | (values > most)
         raise PluginError(what, where=f"Gaussian {int(outside.nonzero()[0])}")

@@ -21,6 +21,9 @@ Vector = NDArray[np.float64]
 
 SAME_UP = np.cos(np.radians(45))
 """Cosine of the largest angle between the up directions of cameras that agree."""
+CAMERA_LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
+"""How far a camera may be from the photographs: angle in degrees as seen from the subject, distance to
+the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
 _ROUNDS = 100
 _LEAST_TILT = 0.2
 """Part of the up direction in the image plane from which the image shows where up is."""
