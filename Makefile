@@ -136,6 +136,9 @@ bench-confidence: $(VENV)/.dev ## how well confidence predicts errors of test vi
 bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.campaigns skips --write-docs
 
+bench-growth: $(VENV)/.dev ## CPU time and memory with 3 to 300 views; rewrites a table
+	$(BIN)/python -m benchmarks.growth --write-docs
+
 profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
