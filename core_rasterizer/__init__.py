@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         GaussianReader as GaussianReader,
         Model as Model,
         OpenCLEngine as OpenCLEngine,
+        PixelTerm as PixelTerm,
         Relocation as Relocation,
         apply_edit as apply_edit,
         photometric_loss as photometric_loss,

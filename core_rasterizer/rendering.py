@@ -51,19 +51,19 @@ class Rendering:
         rgb: Tensor,
         depth: Tensor,
         alpha: Tensor,
-        loss: Tensor,
+        losses: Tensor,
         images: Images,
         coverage: Coverage,
     ) -> Rendering:
         """A rendering by the engine.
 
         Args:
-            rgb, depth, alpha, loss: `Images.outputs` as returned by the autograd function.
+            rgb, depth, alpha, losses: `Images.outputs` as returned by the autograd function.
             images: on the device.
         """
         from .raster import Outputs
 
-        outputs = Outputs(images, (rgb, depth, alpha, loss))
+        outputs = Outputs(images, (rgb, depth, alpha, losses))
         rendering = cls.lazy(outputs.fetch, coverage)
         vars(rendering)["outputs"] = outputs
         return rendering

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Edit as Edit,
         ExplainedError as ExplainedError,
         GaussianReader as GaussianReader,
+        PixelTerm as PixelTerm,
         Rendering as Rendering,
     )
     from registry import (

@@ -6,13 +6,14 @@
         check(MyRegularizer, weight_of_something=0.5)
 
 `check` builds the component, calls it as the host would, and checks the results against the contract.
-`check_command` checks a command of the command line. Whether a component is useful is for its author to test.
+`check_term` compares a `PixelTerm` with torch, and `check_command` checks a command of the command line.
+Whether a component is useful is for its author to test.
 """
 
 from __future__ import annotations
 
-from registry.testing import Cost, check, step_of, tiny_scene
+from registry.testing import Cost, check, check_term, step_of, tiny_scene
 
 from .command_line.conformance import check_command
 
-__all__ = ["Cost", "check", "check_command", "step_of", "tiny_scene"]
+__all__ = ["Cost", "check", "check_command", "check_term", "step_of", "tiny_scene"]

@@ -16,7 +16,7 @@ from .choice import Description, choose
 from .drivers import platforms
 from .memory import DeviceMemory
 from .profile import DeviceProfile, Variant
-from .program import Program
+from .program import KernelText, Program
 from .trial import seconds_of
 from .unknown_cpu import better_cpu_name, correct_cpu_name, written_cpu_name
 from .uploads import Uploads
@@ -101,11 +101,12 @@ class Device(DeviceMemory):
         """The same device without shared memory: transfers are copied and counted."""
         return Device(self._handle, self.variant, shares_memory=False)
 
-    def program(self, *sources: str, dtype: torch.dtype, **defines: float) -> Program:
+    def program(self, *sources: str | KernelText, dtype: torch.dtype, **defines: float) -> Program:
         """Build kernel files together, once for each combination of settings.
 
         Args:
-            sources: "folder/name" for the file `folder/kernels/name.cl`; `device/lanes` comes first.
+            sources: "folder/name" for the file `folder/kernels/name.cl`, or a text;
+                `device/lanes` comes first.
             dtype: torch.float32 or torch.float64, the type `real` of the kernels.
             defines: macros and their values.
 
@@ -119,7 +120,7 @@ class Device(DeviceMemory):
             return self._programs[key]
 
     def _build(
-        self, sources: tuple[str, ...], dtype: torch.dtype, defines: dict[str, float]
+        self, sources: tuple[str | KernelText, ...], dtype: torch.dtype, defines: dict[str, float]
     ) -> Program:
         if dtype == torch.float64 and not self.supports_double:
             raise DeviceError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
@@ -12,6 +13,7 @@ import pyopencl as cl
 from ..errors import DeviceError
 from ..layout import KERNEL_HEADER
 from .array import DeviceArray
+from .drivers import INTEL
 from .memory import DeviceMemory
 from .signature import signatures
 
@@ -21,11 +23,22 @@ _FOR_CPUS = ("-cl-mad-enable",)
 """Not for GPUs: a compiler may fuse the same products and sums in one kernel and not in another."""
 
 
+@dataclass(frozen=True)
+class KernelText:
+    """A source that is not a file of this package; errors call it `name`."""
+
+    name: str
+    text: str
+
+
 class Program:
     """Kernels built from one set of sources; each `cl.Kernel` is created once."""
 
     def __init__(
-        self, device: DeviceMemory, sources: Sequence[str], macros: Mapping[str, float]
+        self,
+        device: DeviceMemory,
+        sources: Sequence[str | KernelText],
+        macros: Mapping[str, float],
     ) -> None:
         text = "\n".join([KERNEL_HEADER, *map(_source, ("device/lanes", *sources))])
         for_device = _FOR_CPUS if macros["LANES"] != 1 else ()
@@ -37,10 +50,12 @@ class Program:
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 program = cl.Program(device.context, text).build(options=options)
         except cl.Error as error:
+            texts = [source for source in sources if isinstance(source, KernelText)]
+            names = [s.name if isinstance(s, KernelText) else s for s in sources]
             raise DeviceError(
-                f"the OpenCL compiler of {device.name!r} failed on the kernels {', '.join(sources)}",
+                f"the OpenCL compiler of {device.name!r} failed on the kernels {', '.join(names)}",
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
-                fix="update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
+                fix=_fix(str(error), own_text=bool(texts)),
             ) from error
         self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
@@ -85,6 +100,16 @@ class Program:
             ) from error
 
 
-def _source(name: str) -> str:
+def _source(name: str | KernelText) -> str:
+    if isinstance(name, KernelText):
+        return name.text
     folder, _, file = name.partition("/")
     return resources.files(_PACKAGE).joinpath(folder, "kernels", f"{file}.cl").read_text("utf-8")
+
+
+def _fix(message: str, *, own_text: bool) -> str:
+    if "unknown target CPU" in message:  # Clang's words for a processor that is newer than itself
+        return f"{INTEL}: it brings a newer driver, which knows the processor and is then used"
+    if own_text:
+        return "correct the source; the compiler counts its lines from 1"
+    return "update the OpenCL driver, or choose another device; `stereogs doctor` lists them"

@@ -80,7 +80,7 @@ def photometric_loss(
     if isinstance(rgb, Rendering):
         outputs = _on_device(rgb, target, device)
         if outputs is not None:
-            there: Tensor = _LossOnDevice.apply(outputs.loss, outputs.images, target, weights)
+            there: Tensor = _LossOnDevice.apply(outputs.losses, outputs.images, target, weights)
             return there
         rgb = rgb.rgb
     if rgb.ndim != 3 or rgb.shape[2] != _CHANNELS or rgb.numel() == 0 or rgb.shape != target.shape:
@@ -102,8 +102,7 @@ def _on_device(rendering: Rendering, target: Tensor, device: Device | None) -> O
     outputs = rendering.device_outputs
     if outputs is None or tuple(target.shape) != (*outputs.images.size, _CHANNELS):
         return None
-    # Only one loss can store its gradient.
-    fits = device in (None, outputs.images.device) and outputs.images.loss_gradient is None
+    fits = device in (None, outputs.images.device) and outputs.images.fits(1)
     return outputs if fits else None
 
 
@@ -154,7 +153,8 @@ class _LossOnDevice(torch.autograd.Function):
         ctx: Any, stand_in: Tensor, images: Images, target: Tensor, weights: tuple[float, float]
     ) -> Tensor:
         workspace = _workspace(images.device, *images.size, images.dtype)
-        gradient = images.room_for_loss_gradient() if ctx.needs_input_grad[0] else None
+        ctx.kept = images.keep("rgb") if ctx.needs_input_grad[0] else None
+        gradient = ctx.kept.arrays["rgb"] if ctx.kept else None
         loss = workspace.run(images["rgb"], target, weights, gradient)
         if not math.isfinite(loss):
             raise _undefined(images.read("rgb"), target)
@@ -163,7 +163,7 @@ class _LossOnDevice(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
-        return upstream, None, None, None
+        return ctx.kept.passed_on(upstream), None, None, None
 
 
 class _Bands:

@@ -2,11 +2,12 @@
 
 from .block import Block, pack, unpack, unpack_all
 from .frame import Frame
-from .images import Coverage, Images, Outputs
+from .images import CHANNELS, Coverage, Images, Kept, Outputs, refuse_undefined
 from .renderer import Renderer
 from .request import DILATION, NEAR_PLANE, Footprint, RenderRequest
 
 __all__ = [
+    "CHANNELS",
     "DILATION",
     "NEAR_PLANE",
     "Block",
@@ -14,10 +15,12 @@ __all__ = [
     "Footprint",
     "Frame",
     "Images",
+    "Kept",
     "Outputs",
     "RenderRequest",
     "Renderer",
     "pack",
+    "refuse_undefined",
     "unpack",
     "unpack_all",
 ]

@@ -7,7 +7,7 @@ import weakref
 import torch
 
 from ..device import Device, Scratch
-from .images import KEPT, Coverage, Images
+from .images import Coverage, Images
 from .request import RenderRequest
 
 
@@ -45,8 +45,9 @@ class Frame:
         if self._coverage is not None and self._coverage() is not None:
             self.arrays.give_away("slot_count")
             self.reserved_for = None
-        if self._images is not None and self._images() is not None:
-            self.arrays.give_away(*KEPT)
+        images = None if self._images is None else self._images()
+        if images is not None:
+            self.arrays.give_away(*images.names)
         self._coverage = self._images = None
 
 

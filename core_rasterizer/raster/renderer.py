@@ -14,14 +14,12 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Scratch
-from ..errors import ExplainedError
-from ..gaussians import undefined_places
 from ..layout import COUNTERS, GAUSSIAN, PAIR, PARAMETER_BITS, row_count
 from .block import Block
 from .budget import Budget
 from .frame import Frame, Lease
 from .gpu_tile_lists import GpuTileLists
-from .images import CHANNELS, Images
+from .images import CHANNELS, ImageGradient, Images, refuse_undefined
 from .pixel_states import PixelStates
 from .pose import PoseSums
 from .programs import RasterPrograms
@@ -116,7 +114,7 @@ class Renderer:
         self,
         frame: Frame,
         block: Block,
-        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
+        image_gradients: tuple[ImageGradient, ImageGradient, ImageGradient],
         gradients: DeviceArray,
         *,
         accumulate: bool,
@@ -160,7 +158,7 @@ class Renderer:
     def begin_backward(
         self,
         frame: Frame,
-        image_gradients: tuple[Tensor | DeviceArray | None, Tensor | None, Tensor | None],
+        image_gradients: tuple[ImageGradient, ImageGradient, ImageGradient],
         *,
         absolute: bool,
     ) -> DeviceArray | None:
@@ -383,29 +381,15 @@ class Renderer:
     def _capacity_of(self, frame: Frame) -> int:
         return min(frame.arrays["pairs"].shape[0] // 2, frame.pair_limit)
 
-    def _image_gradient(
-        self, gradient: Tensor | DeviceArray | None, size: int, name: str
-    ) -> DeviceArray:
+    def _image_gradient(self, gradient: ImageGradient, size: int, name: str) -> DeviceArray:
         if isinstance(gradient, DeviceArray):
             return gradient
         if gradient is None:
             return self._scratch.reserve(f"no_{name}", self.dtype, size)
         gradient = gradient.to(self.dtype).contiguous()
-        _refuse_undefined(gradient, name)
+        refuse_undefined(gradient, name)
         if self.device.shares_memory:
             return DeviceArray(self.device, (size,), self.dtype, over=gradient)
         array = self._scratch.reserve(f"d_{name}", self.dtype, size)
         array.write(gradient, 0, size)
         return array
-
-
-def _refuse_undefined(gradient: Tensor, name: str) -> None:
-    """Raise if an image's gradient is not finite."""
-    undefined = undefined_places(gradient)
-    if len(undefined):
-        place = ", ".join(str(index) for index in undefined[0].tolist())
-        raise ExplainedError(
-            f"the loss has an undefined gradient in {len(undefined)} values of the image {name!r}",
-            where=f"backward of a render: {name}[{place}]",
-            fix="look for a division by zero or a square root of zero in the loss",
-        )

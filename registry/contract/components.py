@@ -39,6 +39,14 @@ class SceneLoader(Component[SettingsType], ABC):
         """Whether an existing folder has the content in `recognized_by`; used by `stereogs check`."""
         return False
 
+    @classmethod
+    def within(cls, settings: SettingsType, cpu_seconds: float) -> SettingsType:
+        """Return settings that load in about this time, perhaps a poorer scene; the given ones by default.
+
+        `train --seconds` calls it before `load`, and keeps settings that the command line names.
+        """
+        return settings
+
     @abstractmethod
     def load(self) -> Scene:
         """Return the scene that the settings describe, in the coordinates of its files.

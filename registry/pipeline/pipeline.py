@@ -133,13 +133,11 @@ class Pipeline:
         return replace(self, items=items, training=training, iterations_per_view=None)
 
     def for_views(self, views: int) -> Pipeline:
-        """Return the pipeline with the length and the learning rates for a number of training views."""
+        """Return the pipeline with length, rates and limit of Gaussians for a number of training views."""
         if self.iterations_per_view is None:
             return self
         scaled = self.scaled(self.iterations_per_view * views)
-        rates = scaled.training.learning_rates.for_views(views)
-        training = scaled.training.model_copy(update={"learning_rates": rates})
-        return replace(scaled, training=training)
+        return replace(scaled, training=scaled.training.for_views(views))
 
     def wrote(self, text: str) -> bool:
         """Return whether a run of this pipeline, for any number of training views, writes this file."""

@@ -35,6 +35,8 @@ _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
 _SHOWN = 5
 _OURS = "stereogs-plugins"
+_ENGINE = "stereogs-rasterizer"
+"""The distribution of `core_rasterizer`, on which ours depends."""
 _CODE = ", code "
 _NAME = re.compile(r"[A-Za-z0-9._-]+")
 _ROOT = Path(__file__).parents[2]
@@ -113,7 +115,9 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
     """Return the current software, machine and command line, as JSON values."""
     offers = {item.qualified_name: item.offer for item in pipeline}
     authors = dict.fromkeys(offer.distribution for offer in offers.values())
-    required = [text for text in requires(_OURS) or () if "extra ==" not in text]
+    required = [
+        text for ours in (_OURS, _ENGINE) for text in requires(ours) or () if "extra ==" not in text
+    ]
     packages = [_OURS, *(found[0] for text in required if (found := _NAME.match(text)))]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -12,6 +12,7 @@ Whether it is useful is for its author to test. `stereogs.testing` offers the sa
 from __future__ import annotations
 
 from .conformance import Cost, check
+from .pixel_terms import check_term
 from .scenes import step_of, tiny_scene
 
-__all__ = ["Cost", "check", "step_of", "tiny_scene"]
+__all__ = ["Cost", "check", "check_term", "step_of", "tiny_scene"]

@@ -1,27 +1,30 @@
 """Choose the size of the photographs, the pipeline and its length, from the scene and the time.
 
-A run within a number of seconds is never refused. In this order it takes smaller photographs (`sizing`), the
-pipeline `table.QUICK`, and fewer iterations, down to 30; then it ends late and says why. If the machine
-becomes slower during training, training starts again with fewer iterations (`WithinSeconds.corrected`). The
-run's pipeline records all choices, so that it can be repeated.
+A run within a number of seconds is never refused. In this order it takes settings with which its loader is
+faster (`SceneLoader.within`), smaller photographs (`sizing`), the pipeline `table.QUICK`, and fewer
+iterations, down to 30; then it ends late and says why. If the machine becomes slower during training,
+training starts again with fewer iterations (`WithinSeconds.corrected`). The run's pipeline records all
+choices, so that it can be repeated.
 """
 
 from __future__ import annotations
 
 import shlex
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import ceil
 from time import monotonic, process_time
 from typing import TYPE_CHECKING, NamedTuple
 
-from registry import RunError
+from registry import RunError, SceneLoader
+from registry.calls.blame import blame
 from registry.messages.suggestions import counted
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.folder import ChooseFolder, refuse_occupied
 from registry.runs.preparation import Prepared, load, prepare, running
 from registry.runs.training_run import train_prepared
+from registry.system.cores import usable_cores
 
 from .table import GROWTH, SHORT, Quality, by_length, by_quality
 
@@ -51,6 +54,8 @@ HURRIED = "hurried"
 """Name of the fact in results.json, which the report shows."""
 FEW_PIXELS, FEW_ITERATIONS = 400, 100
 """A run with less on the longer side, or with fewer iterations, is reported as hurried."""
+SHARE = 0.5
+"""Share of the time left in which the loader should finish."""
 NEARLY = 0.95
 """Photographs smaller than this multiple of the wanted size are reported; lenses crop a few pixels."""
 
@@ -90,12 +95,14 @@ class Fit:
         log: receives lines of at most 80 characters.
         size: longer side of the photographs in pixels, if it is given.
         adapts_size: whether time and memory choose the size.
+        kept: settings that the command line names, such as "scene.frames".
         device: part of the name of the OpenCL device.
     """
 
     log: Log
     size: int | None = None
     adapts_size: bool = False
+    kept: Collection[str] = ()
     device: str | None = None
     _shrunk: bool = field(default=False, init=False)
 
@@ -105,6 +112,7 @@ class Fit:
         """Train the pipeline that fits; arguments, answer and errors as for `start_run`."""
         refuse_occupied(out)
         with running(options) as active:
+            pipeline = self.hastened(pipeline)
             loaded = load(pipeline, active)
             resized = self.resized(pipeline, loaded.scene)
             if resized is not pipeline:
@@ -137,6 +145,10 @@ class Fit:
         shorter = initial.of(corrections[0])
         return self._train(_noting(shorter, self.hurried(shorter)), options, out)
 
+    def hastened(self, pipeline: Pipeline) -> Pipeline:
+        """Return the pipeline with settings of the loader that take less time, if time is short."""
+        return pipeline
+
     def resized(self, pipeline: Pipeline, scene: Scene) -> Pipeline:
         """Return the pipeline with smaller photographs if time or memory is short.
 
@@ -167,9 +179,7 @@ class Fit:
         self._shrunk = True
         self.log(f"photographs: {found.pixels} pixels instead of {longer}: {found.reason} is short")
         self.log("  --size PIXELS chooses the longer side")
-        settings = loader.settings.model_copy(update={"max_size": found.pixels})
-        resized = replace(loader, settings=settings)
-        return replace(pipeline, items={**pipeline.items, "scene": (resized,)})
+        return _with_loader(pipeline, {"max_size": found.pixels})
 
     def _cpu_seconds_left(self) -> float | None:
         """CPU seconds that the process can expect until the end of the budget; None: no limit."""
@@ -235,13 +245,35 @@ class WithinSeconds(Fit):
     _began: float = field(default=0.0, init=False)
     _spent: float = field(default=0.0, init=False)
     _abandoned: float = field(default=0.0, init=False)
+    _hastened: str = field(default="", init=False)
+
+    def hastened(self, pipeline: Pipeline) -> Pipeline:
+        """Leave the loader half of the time on all cores, except for settings of the command line."""
+        loader = pipeline.one("scene")
+        offered = loader.offer.component
+        if self.load is None or not issubclass(offered, SceneLoader):
+            return pipeline
+        seconds = SHARE * self._cpu_seconds_left() * usable_cores()
+        with blame(loader):
+            settings = offered.within(loader.settings, seconds)
+        before = dict(loader.settings)
+        changes = {
+            name: value
+            for name, value in settings
+            if value != before[name] and f"scene.{name}" not in self.kept
+        }
+        if changes:
+            told = (f"{name}: {value} instead of {before[name]}" for name, value in changes.items())
+            self._hastened = ", ".join(told)
+            self.log(f"{self._hastened}: time is short")
+        return _with_loader(pipeline, changes)
 
     def _seconds_left(self) -> float:
         return self.budget.seconds - self.budget.spent
 
     def _cpu_seconds_left(self) -> float:
         """Return the seconds left at the rate at which the process has got CPU time so far."""
-        return self._seconds_left() * process_time() / self.budget.spent
+        return self._seconds_left() * min(1.0, process_time() / self.budget.spent)
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the best pipeline for the time left."""
@@ -270,7 +302,7 @@ class WithinSeconds(Fit):
         pixels = max(camera.width, camera.height)
         shrunk = self._shrunk and pixels < FEW_PIXELS
         shortened = count < min(FEW_ITERATIONS, self._whole.training.iterations)
-        if not shrunk and not shortened:
+        if not (shrunk or shortened or self._hastened):
             return ""
         better = "without --seconds it trains in full"
         path = getattr(initial.pipeline.one("scene").settings, "path", None)
@@ -279,7 +311,7 @@ class WithinSeconds(Fit):
             better = f"for a better scene: {command}"
         return (
             f"hurried: --seconds {self.budget.seconds:g} left time for {pixels} pixels and {count} "
-            f"iterations; {better}"
+            f"iterations{self._hastened and f', {self._hastened}'}; {better}"
         )
 
     def _measure(self, initial: Prepared, ready: str | None, *, again: bool = True) -> None:
@@ -373,6 +405,13 @@ class WithinSeconds(Fit):
         )
         if total < 0.9 * seconds:
             self.log(f"  less than {seconds:g} s, because more iterations are not known to help")
+
+
+def _with_loader(pipeline: Pipeline, changes: Mapping[str, object]) -> Pipeline:
+    """Return the pipeline with other settings of its loader."""
+    loader = pipeline.one("scene")
+    changed = replace(loader, settings=loader.settings.model_copy(update=dict(changes)))
+    return replace(pipeline, items={**pipeline.items, "scene": (changed,)}) if changes else pipeline
 
 
 def _noting(initial: Prepared, hurried: str) -> Prepared:

@@ -25,8 +25,8 @@ def add_quality(parser: argparse.ArgumentParser) -> None:
         "--seconds",
         type=positive_seconds,
         metavar="N",
-        help="finish the whole run within N seconds, from the command to the last file, with smaller "
-        "photographs and fewer iterations, but at least 30",
+        help="finish the whole run within N seconds, from the command to the last file, with fewer frames "
+        "of a video, smaller photographs and fewer iterations, but at least 30",
     )
     length.add_argument(
         "--quality", choices=QUALITIES, help="which pipeline trains a folder (default: good)"
@@ -52,12 +52,13 @@ def given_fit(request: TrainRequest) -> Fit:
 
     given, log, load = request.arguments, console().print, request.load
     is_folder = not request.pipeline_named
-    adapts = is_folder and not _changed(given) & {SIZE, "scene.downsample"}
-    chosen = {"size": given.size, "adapts_size": adapts, "device": given.device}
+    kept = _changed(given)
+    adapts = is_folder and not kept & {SIZE, "scene.downsample"}
+    chosen = {"size": given.size, "adapts_size": adapts, "kept": kept, "device": given.device}
     if given.seconds:
         budget = Budget(given.seconds, request.begin)
         return WithinSeconds(log, **chosen, budget=budget, load=load if is_folder else None)
-    if not is_folder or load is None or LENGTH in _changed(given):
+    if not is_folder or load is None or LENGTH in kept:
         return Fit(log, **chosen)
     return WithQuality(log, **chosen, load=load, quality=given.quality or "good")
 

@@ -7,6 +7,7 @@ Gradients reach the Gaussians through both renders: the colours and the depth.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
@@ -17,10 +18,84 @@ from registry.toolkit.images import at_size
 if TYPE_CHECKING:
     from torch import Tensor
 
-MIN_ALPHA = 0.3
-"""Alpha above which depth divided by alpha is used; dropout and decay leave less than 1 on surfaces."""
-EDGE = 0.33
-"""Decay of the smoothness with the photograph's gradient (the authors' code)."""
+    from core_rasterizer import PixelTerm
+
+Kind = Literal["accumulated", "expected"]
+HELPERS = """
+#define MIN_ALPHA (3 / (real)10) /* for depth / alpha: dropout and decay leave less than 1 on surfaces */
+#define EDGE (33 / (real)100)    /* decay of the smoothness at edges of the photograph (the authors' code) */
+
+#if HAS_trained
+#define TRAINED(q) trained[q]
+#else
+#define TRAINED(q) 1
+#endif
+#if HAS_solid
+#define SOLID(q) solid[q]
+#else
+#define SOLID(q) 1
+#endif
+/* Whether a pixel has a depth that may be used, and a disparity less than the width of the image. */
+#if EXPECTED
+#define DEPTH(q) (view_depth[q] / view_alpha[q])
+#define FAR(q) (view_alpha[q] > MIN_ALPHA && SOLID(q) && view_depth[q] * width > least * view_alpha[q])
+#else
+#define DEPTH(q) view_depth[q]
+#define FAR(q) (view_depth[q] * width > least)
+#endif
+#define SEEN(q) (FAR(q) && TRAINED(q))
+
+typedef GLUE(REAL_NAME, 4) four;
+#define ABS(v) ((v) < 0 ? -(v) : (v))
+#define SIGN(v) ((real)((v) > 0) - (real)((v) < 0))
+#define OF_FOUR(f) (four)(f(q0), f(q1), f(q2), f(q3))
+#define CONTRAST(f) ABS(OF_FOUR(f) - f(p))
+#define RED(q) target[3 * (q)]
+#define GREEN(q) target[3 * (q) + 1]
+#define BLUE(q) target[3 * (q) + 2]
+"""
+SOURCE = """
+const real least = ABS(moves);
+if (!SEEN(p))
+    continue;
+const real depth = DEPTH(p), disparity = moves / depth, column = x + disparity;
+real by_disparity = 0;
+if (column >= 0 && column <= width - 1) {
+    const int left = column < width - 1 ? (int)column : width > 1 ? width - 2 : 0;
+    const int first = 3 * (y * width + left), second = width > 1 ? first + 3 : first;
+    const real part = column - left, share = 1 / ((real)3 * width * height);
+    for (int c = 0; c < 3; c++) {
+        const real step = shifted_rgb[second + c] - shifted_rgb[first + c];
+        const real error = shifted_rgb[first + c] + part * step - target[3 * p + c];
+        const real slope = share * SIGN(error);
+        loss += share * ABS(error);
+        d_shifted_rgb[first + c] += (1 - part) * slope;
+        d_shifted_rgb[second + c] += part * slope;
+        by_disparity += step * slope;
+    }
+}
+if (smoothness > 0) {
+    /* Differences to the pixels two away; a pixel that does not count is replaced by this one. */
+    const int q0 = x + 2 < width && SEEN(p + 2) ? p + 2 : p, q1 = x >= 2 && SEEN(p - 2) ? p - 2 : p;
+    const int q2 = y + 2 < height && SEEN(p + 2 * width) ? p + 2 * width : p;
+    const int q3 = y >= 2 && SEEN(p - 2 * width) ? p - 2 * width : p;
+    const real across = smoothness / ((real)(width > 2 ? width - 2 : 1) * height);
+    const real down = smoothness / ((real)(height > 2 ? height - 2 : 1) * width);
+    const four shares = (four)(across * (q0 > p), across * (q1 < p), down * (q2 > p), down * (q3 < p));
+    const four slopes = (moves / OF_FOUR(DEPTH) - disparity) / 2;
+    const four edges = CONTRAST(RED) + CONTRAST(GREEN) + CONTRAST(BLUE);
+    const four weights = shares * exp(edges * (-EDGE / 6));
+    const four changes = slopes > 0 ? weights : slopes < 0 ? -weights : 0;
+    loss += weights.s0 * ABS(slopes.s0) + weights.s2 * ABS(slopes.s2);
+    by_disparity -= (changes.s0 + changes.s1 + changes.s2 + changes.s3) / 2;
+}
+#if EXPECTED
+d_view_depth[p] = -by_disparity * disparity / view_depth[p];
+d_view_alpha[p] = by_disparity * disparity / view_alpha[p];
+#else
+d_view_depth[p] = -by_disparity * disparity / depth;
+#endif
+"""
 
 
 class VirtualStereoSettings(Settings):
@@ -29,7 +104,7 @@ class VirtualStereoSettings(Settings):
     units, where near content then moves by at most 10 pixels."""
     unit: Literal["world", "baseline"] = "world"
     """Unit of `max_shift`: that of the scene's files, or the distance to the nearest other camera."""
-    depth: Literal["accumulated", "expected"] = "accumulated"
+    depth: Kind = "accumulated"
     """Rendered depth: as blended (the paper), which is too small where dropout or decay reduce alpha; or
     divided by alpha, at pixels with an alpha above 0.3 that show no background in a photograph with alpha."""
     smoothness: float = Field(0.05, ge=0, allow_inf_nan=False)
@@ -48,32 +123,19 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         """Return the loss for this iteration's view."""
         import torch
 
-        sample = step.sample
+        sample, kind = step.sample, self.settings.depth
         drawn = float(torch.rand((), generator=self.generator))
         shift = self.settings.max_shift * self._unit(step) * (2 * drawn - 1)
-        moves = -sample.camera.fx * shift
-        depth, seen = self._depth(step)
-        seen = seen & (depth.detach() * sample.camera.width > abs(moves))
-        if sample.trained is not None:
-            seen = seen & sample.trained
-        disparity = moves / depth.where(seen, torch.inf)
-        shifted = step.render(sample.camera.shifted_right(shift)).rgb
-        warped, inside = moved_back(shifted, disparity)
-        difference = (warped - sample.target).abs() * (inside & seen)[:, :, None]
-        smoothness = edge_aware_smoothness(disparity, sample.target, seen)
-        return difference.mean() + self.settings.smoothness * smoothness
-
-    def _depth(self, step: Step) -> tuple[Tensor, Tensor]:
-        """Depth `[H, W]` of the render, and the pixels `[H, W]` where it may be used."""
-        import torch
-
-        depth, alpha = step.rendering.depth, step.rendering.alpha
-        if self.settings.depth == "accumulated":
-            return depth, torch.ones(depth.shape, dtype=torch.bool)
-        used = alpha.detach() > MIN_ALPHA
-        if step.view.solid is not None:
-            used &= at_size(step.view.solid, *depth.shape)
-        return depth / alpha.where(used, 1.0), used
+        solid = step.view.solid if kind == "expected" else None
+        return term(kind)(
+            view=step.rendering,
+            shifted=step.render(sample.camera.shifted_right(shift)),
+            target=sample.target,
+            trained=sample.trained,
+            solid=None if solid is None else at_size(solid, *sample.target.shape[:2]),
+            moves=-sample.camera.fx * shift,
+            smoothness=self.settings.smoothness,
+        )
 
     def _unit(self, step: Step) -> float:
         """World units of a shift of 1; with a single training camera a baseline is the scene's extent."""
@@ -84,52 +146,19 @@ class VirtualStereo(Regularizer[VirtualStereoSettings]):
         return min((float((there - here).norm()) for there in others), default=step.extent)
 
 
-def moved_back(image: Tensor, disparity: Tensor) -> tuple[Tensor, Tensor]:
-    """Warp the image of the shifted camera to the unshifted camera.
+@cache
+def term(kind: Kind) -> PixelTerm:
+    """The loss for a kind of depth."""
+    from core_rasterizer import PixelTerm
 
-    Args:
-        image: `[H, W, 3]` of the shifted camera.
-        disparity: `[H, W]` pixels: pixel (u, v) of the unshifted camera corresponds to (u + d, v).
-
-    Returns:
-        `[H, W, 3]`, bilinear in columns and 0 outside the image; and `[H, W]` bool, True inside the image.
-    """
-    import torch
-
-    height, width = disparity.shape
-    columns = torch.arange(width, dtype=disparity.dtype) + disparity
-    inside = (columns >= 0) & (columns <= width - 1)
-    position = columns.clamp(0, width - 1)
-    left = position.detach().floor().clamp(0, max(width - 2, 0))
-    part = (position - left)[:, :, None]
-    # index_select and its gradient take two thirds of the time of image[rows, columns].
-    index = (left.long() + width * torch.arange(height)[:, None]).flatten()
-    pixels = image.reshape(height * width, -1)
-    first, second = (
-        pixels.index_select(0, at).view_as(image) for at in (index, index + min(1, width - 1))
+    expected = kind == "expected"
+    return PixelTerm(
+        SOURCE,
+        ("shifted_rgb", "view_depth", *(("view_alpha",) if expected else ())),
+        helpers=f"#define EXPECTED {int(expected)}\n{HELPERS}",
+        in_rows=True,
+        name="virtual_stereo",
     )
-    return (first + part * (second - first)) * inside[:, :, None], inside
-
-
-def edge_aware_smoothness(disparity: Tensor, image: Tensor, seen: Tensor) -> Tensor:
-    """Return mean |d'| exp(-0.33 |I'|) over columns plus the same over rows, by central differences.
-
-    Args:
-        disparity: `[H, W]`.
-        image: `[H, W, 3]`; |I'| is the mean over its channels.
-        seen: `[H, W]` bool; a difference counts where both its pixels are seen.
-    """
-    total = disparity.new_zeros(())
-    for axis in (0, 1):
-        d, i, s = (x.transpose(0, axis) for x in (disparity, image, seen))
-        if len(d) < 3:
-            continue
-        both = s[2:] & s[:-2]
-        slope = (0.5 * (d[2:] - d[:-2])).abs() * both
-        red, green, blue = (0.5 * (i[2:] - i[:-2])).abs().unbind(2)
-        edge = (red + green + blue) / 3  # three times as fast as mean(2)
-        total = total + (slope * (-EDGE * edge).exp()).mean()
-    return total
 
 
 @hookimpl

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from core_rasterizer import Device
-from core_rasterizer.device import Program, Variant
+from core_rasterizer.device import KernelText, Program, Variant
 
 OPTIMIZE = "OPTIMIZE"
 """Environment variable; `make runtimes` sets it, and everything is compiled as for runs."""
@@ -40,7 +40,9 @@ class QuickDevice(Device):
         """The same device, which optimizes no kernel."""
         return QuickDevice(self, self.variant, self.shares_memory, True)
 
-    def _build(self, sources: tuple[str, ...], dtype: torch.dtype, defines: Any) -> Program:
+    def _build(
+        self, sources: tuple[str | KernelText, ...], dtype: torch.dtype, defines: Any
+    ) -> Program:
         in_runs = dtype == torch.float32 and self.variant == "cpu" and not self._everything
         with pytest.MonkeyPatch.context() as patch:
             if self.kind == "cpu" and not in_runs and OPTIMIZE not in os.environ:

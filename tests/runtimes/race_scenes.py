@@ -130,7 +130,7 @@ def without_barrier(file: str, number: int) -> None:
     """Remove one barrier of a kernel file from all programs that are built later."""
     original = program._source
 
-    def source(name: str) -> str:
+    def source(name: str | program.KernelText) -> str:
         text = original(name)
         if name != file:
             return text

@@ -13,6 +13,7 @@ from core_rasterizer.first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera_path import (
+        CAMERA_LIMITS as CAMERA_LIMITS,
         quarter_turns as quarter_turns,
         smooth_path as smooth_path,
         turned as turned,

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from core_rasterizer import Camera
 
 from ...errors import RunError
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
 Vector = NDArray[np.float64]
 
 SAME_UP = np.cos(np.radians(45))
 """Cosine of the largest angle between the up directions of cameras that agree."""
+CAMERA_LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
+"""How far a camera may be from the photographs: angle in degrees as seen from the subject, distance to
+the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
 _ROUNDS = 100
 _LEAST_TILT = 0.2
 """Part of the up direction in the image plane from which the image shows where up is."""
@@ -34,6 +39,9 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     Raises:
         RunError: There are fewer than two cameras or frames.
     """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
     if len(cameras) < 2 or frames < 2:
         raise RunError(
             f"no path exists through {len(cameras)} camera(s) in {frames} frame(s)",
@@ -128,6 +136,8 @@ def upright_rotation(cameras: Sequence[Camera]) -> Rotation:
 
     Up is that of the one or more cameras (`upwards`); the viewing direction becomes horizontal.
     """
+    from scipy.spatial.transform import Rotation
+
     up = upwards(cameras)
     first = cameras[0].world_to_camera.numpy()
     back = -first[2, :3] + (first[2, :3] @ up) * up

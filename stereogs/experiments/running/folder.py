@@ -32,8 +32,11 @@ class ExperimentFolder:
 
     def run(self, planned: PlannedRun) -> RunFolder:
         """Return the run folder with the digest, or a new one."""
+        path = self.path / RUNS / planned.name
+        if path.is_dir():  # a search lists all runs
+            return RunFolder(path)
         existing = sorted((self.path / RUNS).glob(f"*_{planned.digest}/"))
-        return RunFolder(existing[0] if existing else self.path / RUNS / planned.name)
+        return RunFolder(existing[0] if existing else path)
 
     def results(self, planned: PlannedRun) -> dict[str, Any]:
         """Return the results of a finished run; empty if unfinished, invalid or of another pipeline."""

@@ -25,6 +25,8 @@ from registry.toolkit.drawing.camera_path import Vector
 from registry.toolkit.photos import Finite, read_document
 from registry.training.initial_model import new_model
 
+from .reach import Reach
+
 _DEFAULT_UP = (0.0, -1.0, 0.0)
 """In most scenes of COLMAP and 3DGS the y axis points down."""
 _DISTANCE = 2.5
@@ -174,6 +176,7 @@ class StartPose:
     Args:
         field_of_view: vertical, radians.
         extent: of the scene's cameras, world units, > 0.
+        reach: where the camera is near the training views; None without any.
     """
 
     position: Vector
@@ -181,6 +184,7 @@ class StartPose:
     up: Vector
     field_of_view: float
     extent: float
+    reach: Reach | None = None
 
     @property
     def distance(self) -> float:
@@ -198,25 +202,25 @@ def start_pose(subject: Subject) -> StartPose:
         offset = torch.tensor([0.0, 0.0, -_DISTANCE * spread], dtype=torch.float64)
         up = np.asarray(_DEFAULT_UP)
         return StartPose((center + offset).numpy(), center.numpy(), up, np.pi / 3, spread)
-    camera = _central(cameras)
-    depth, extent = _depth_and_extent(camera, cameras, means)
+    extent = camera_extent(cameras)
+    depths = [_depth(camera, means, extent) for camera in cameras]
+    index = _central(cameras)
+    camera, depth = cameras[index], depths[index]
+    extent = extent if extent > 1e-6 * depth else _EXTENT_OF_ONE * depth
     origin, forward = camera.center.numpy(), camera.world_to_camera[2, :3].numpy()
     field_of_view = float(2 * np.arctan(0.5 * camera.height / camera.fy))
-    return StartPose(origin, origin + depth * forward, upwards(cameras), field_of_view, extent)
+    look_at, up = origin + depth * forward, upwards(cameras)
+    return StartPose(origin, look_at, up, field_of_view, extent, Reach(cameras, depths))
 
 
-def _central(cameras: Sequence[Camera]) -> Camera:
-    """Return the camera nearest to the middle of all."""
+def _central(cameras: Sequence[Camera]) -> int:
+    """Return the index of the camera nearest to the middle of all."""
     centers = torch.stack([camera.center for camera in cameras])
-    return cameras[int((centers - centers.mean(dim=0)).norm(dim=1).argmin())]
+    return int((centers - centers.mean(dim=0)).norm(dim=1).argmin())
 
 
-def _depth_and_extent(
-    camera: Camera, cameras: Sequence[Camera], means: Tensor
-) -> tuple[float, float]:
-    """Return the median z-depth in a camera and the extent of all cameras, world units, > 0."""
-    extent = camera_extent(cameras)
+def _depth(camera: Camera, means: Tensor, extent: float) -> float:
+    """Return the median z-depth that a camera sees, world units, > 0."""
     u, v, z = camera.project(means)
     seen = z[camera.contains(u, v, z)]
-    depth = float(seen.median()) if len(seen) else _DEFAULT_DEPTH * max(extent, 1e-6)
-    return depth, extent if extent > 1e-6 * depth else _EXTENT_OF_ONE * depth
+    return float(seen.median()) if len(seen) else _DEFAULT_DEPTH * max(extent, 1e-6)

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from registry.toolkit.drawing.camera_path import Vector
+
 from . import import_viser
 from .decoration import add_box, add_cameras, add_ellipsoids
 from .guard import Guard
@@ -62,6 +64,7 @@ class Viewer:
         self._changed = threading.Condition()
         self._moved: dict[int, Any] = {}
         self._blurred: dict[int, Any] = {}
+        self._started: set[int] = set()
         self._mask = visible(subject, Look())
         self._masked: tuple[Subject, Look] = (subject, Look())
         self._guard = Guard()
@@ -71,6 +74,7 @@ class Viewer:
         self._decorated: tuple[Subject, Look, bool] = (subject, Look(), False)
         start = start_pose(subject)
         self._unit = start.distance
+        self._reach = start.reach
         self._cameras = add_cameras(
             self._server, subject.viewpoints, start.extent / self._unit, self._unit
         )
@@ -81,7 +85,7 @@ class Viewer:
             bounds=_bounds(subject),
             on_look=self._request_all,
             on_cameras=self._show_cameras,
-            back="Back to the photographs" if subject.viewpoints else "Back to the start",
+            has_photographs=start.reach is not None,
             on_back=lambda client: self._go_to_start(client, start),
         )
         self._controls.status.content = f"{subject.model.count:,} Gaussians"
@@ -175,8 +179,26 @@ class Viewer:
         )
 
     def _connect(self, client: Any) -> None:
-        client.camera.on_update(lambda _: self._request(client))
+        client.camera.on_update(lambda _: self._follow(client))
         self._request(client)
+
+    def _follow(self, client: Any) -> None:
+        """Render for a client that moved, after its camera is back near the photographs."""
+        seen = client.camera
+        if self._reach is not None and self._controls.stays_near:
+            here = [np.asarray(place) * self._unit for place in (seen.position, seen.look_at)]
+            eye, target = self._reach.limited(here[0], here[1])
+            # A browser reports a pose of its own before it takes the start pose.
+            if eye is here[0]:
+                self._started.add(client.client_id)
+            elif client.client_id in self._started:
+                self._place(client, eye, target)
+        self._request(client)
+
+    def _place(self, client: Any, eye: Vector, target: Vector) -> None:
+        with client.atomic():  # viser ignores a place that is where the camera is
+            client.camera.position = tuple(eye / self._unit)
+            client.camera.look_at = tuple(target / self._unit)
 
     def _request(self, client: Any) -> None:
         with self._changed:
@@ -210,8 +232,7 @@ class Viewer:
         """Place one browser's camera where the page opened."""
         with client.atomic():
             client.camera.up_direction = tuple(pose.up)
-            client.camera.position = tuple(pose.position / self._unit)
-            client.camera.look_at = tuple(pose.look_at / self._unit)
+            self._place(client, pose.position, pose.look_at)
 
     def _set_start(self, pose: StartPose) -> None:
         self._server.scene.set_up_direction(pose.up)
@@ -230,8 +251,8 @@ class _Controls:
         bounds: lowest and highest corner of the crop box, world units.
         on_look: called when the image must be rendered again.
         on_cameras: called with True to show the cameras, False to hide them.
-        back: label of the button that places the camera where the page opened.
-        on_back: called with the client that pressed it.
+        has_photographs: whether the camera can stay near some.
+        on_back: called with the client that wants its camera where the page opened.
     """
 
     def __init__(
@@ -243,12 +264,16 @@ class _Controls:
         bounds: Bounds,
         on_look: Callable[[], None],
         on_cameras: Callable[[bool], None],
-        back: str,
+        has_photographs: bool,
         on_back: Callable[[Any], None],
     ) -> None:
         gui = server.gui
         self.status = gui.add_markdown("")
+        back = "Back to the photographs" if has_photographs else "Back to the start"
         gui.add_button(back).on_click(lambda event: on_back(event.client))
+        self._near = gui.add_checkbox(
+            "Stay near the photographs", has_photographs, visible=has_photographs
+        )
         self._channel = gui.add_dropdown("Show", tuple(channels), initial_value=channels[0])
         cameras = gui.add_checkbox("Cameras", False)
         cameras.on_update(lambda _: on_cameras(cameras.value))
@@ -269,6 +294,11 @@ class _Controls:
         switches = (self._channel, self._ellipsoids, *self._kinds.values())
         for handle in (*switches, self._cropped, *self._ranges):
             handle.on_update(lambda _: on_look())
+
+    @property
+    def stays_near(self) -> bool:
+        """True if the camera stays within the limits of the report."""
+        return bool(self._near.value)
 
     @property
     def ellipsoids(self) -> bool:

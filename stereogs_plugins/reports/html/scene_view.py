@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from registry.toolkit import spz_bytes, web_page, write_text
-from registry.toolkit.drawing import upwards
+from registry.toolkit.drawing import CAMERA_LIMITS, upwards
 
 from .reach import reaches
 
@@ -35,9 +35,6 @@ _VIEWER = files(__package__) / "viewer"
 _NEAR_ALL = 90.0
 """Per cent of the Gaussians within the viewer's cube of width 10, along each axis."""
 _RADIUS = 5.0
-_LIMITS = {"angle": 10.0, "nearest": 0.5, "farthest": 1.25, "shift": 0.25}
-"""How far the camera may be from the photographs: angle in degrees as seen from the subject, distance to
-the subject as a factor of the photograph's, and shift of the middle as a share of that distance."""
 _MIN_SHOWN = 0.45
 """Share of a photograph's width and height in view, at least, so that a portrait fills a wide window.
 Objects on a plain background are shown whole."""
@@ -45,9 +42,8 @@ MAX_SUGGESTED = 3
 """Suggested cameras that the menu offers."""
 _HELP = (
     "Drag to turn, pinch or click and scroll to zoom, two fingers or Shift to move. The camera stays within "
-    f"{_LIMITS['angle']:g}° of the photographs and {_LIMITS['nearest']:g} to {_LIMITS['farthest']:g} times "
-    "their distance to the subject."
-)
+    "{angle:g}° of the photographs and {nearest:g} to {farthest:g} times their distance to the subject."
+).format(**CAMERA_LIMITS)
 
 
 @dataclass(frozen=True)
@@ -105,7 +101,7 @@ def pack(
         "dilation": dilation,
         "compensate": compensate_dilation,
         "shown": 1.0 if all(view.alpha is not None for view in scene.train) else _MIN_SHOWN,
-        "limits": _LIMITS,
+        "limits": CAMERA_LIMITS,
         "views": [
             _pose(camera, center, factor)
             | {"reach": distance * factor, "train": k < len(scene.train)}

@@ -41,6 +41,10 @@ CANDIDATES = 8
 _SHARPNESS_SIZE, _MOTION_SIZE = 640, 160
 """Longer side, in pixels, of the frames in which sharpness and motion are measured."""
 _MIN_FRAMES = 3
+_FEWEST = 6
+"""Frames at least when time is short: neighbours among fewer rarely show the same."""
+_CPU_SECONDS = 5.0
+"""For a frame's cameras: 11 to 16 for 4 photographs of 500 pixels, 37 to 50 for 8, 60 to 68 for 12."""
 _MIN_MOTION = 1e-4
 """Motion between candidates at least, as a share of the frame: frames of a still clip are spaced by time."""
 _FIX = (
@@ -66,6 +70,17 @@ class VideoScene(SceneLoader[VideoSettings]):
     def recognizes(cls, folder: Path) -> bool:
         """Return True for a file with the suffix of a video."""
         return folder.suffix.lower() in VIDEO_SUFFIXES and folder.is_file()
+
+    @classmethod
+    def within(cls, settings: VideoSettings, cpu_seconds: float) -> VideoSettings:
+        """Take fewer frames, at least six, unless they were chosen before: then their cameras are known."""
+        frames = max(_FEWEST, int(cpu_seconds / _CPU_SECONDS))
+        video = settings.path.expanduser()
+        if frames >= settings.frames or not video.is_file():
+            return settings
+        if Cache("frames").load(_key(video, settings.frames), Path.is_dir):
+            return settings
+        return settings.model_copy(update={"frames": frames})
 
     def load(self) -> Scene:
         """Return the scene.
@@ -95,18 +110,13 @@ def _extract(video: Path, wanted: int, folder: Path) -> None:
     """Write the chosen frames of a video into an empty folder, from the cache if they are there."""
     if not video.is_file():
         raise SceneError("the video does not exist", where=str(video), fix="correct `path`")
-    import cv2
 
     def copy(entry: Path) -> bool:
         for path in entry.glob("frame_*.png"):
             shutil.copy(path, folder)
         return True
 
-    with video.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    cache = Cache("frames")
-    code = source_digest(chosen_frames, Impression)
-    key = content_key(digest, str(wanted), cv2.__version__, code)
+    cache, key = Cache("frames"), _key(video, wanted)
     if cache.load(key, copy):
         return
     _log.info("choosing %d frames of %s", wanted, video.name)
@@ -121,6 +131,15 @@ def _extract(video: Path, wanted: int, folder: Path) -> None:
         _log.info("only %d frames that were looked at differ from the one before", len(candidates))
     _write(video, set(chosen_frames(candidates, wanted)), folder)
     cache.save(key, lambda entry: shutil.copytree(folder, entry, dirs_exist_ok=True))
+
+
+def _key(video: Path, wanted: int) -> str:
+    import cv2
+
+    with video.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    code = source_digest(chosen_frames, Impression)
+    return content_key(digest, str(wanted), cv2.__version__, code)
 
 
 class Candidate(NamedTuple):

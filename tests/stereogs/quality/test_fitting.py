@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,7 @@ from registry import Scene
 from stereogs import Pipeline, Run, RunOptions
 from stereogs.quality.fitting import (
     FEW_ITERATIONS,
+    HURRIED,
     MIN_ITERATIONS,
     Budget,
     Fit,
@@ -177,6 +180,31 @@ def test_training_starts_again_if_the_machine_becomes_slow(
         parse_pipeline((out / "pipeline.yaml").read_text("utf-8"), toys), device, tmp_path / "again"
     )
     assert (again.iteration, again.hash) == (run.iteration, run.hash)
+
+
+def test_a_loader_is_hastened_unless_its_setting_is_given(
+    toys: Plugins, device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def within(settings: Any, cpu_seconds: float) -> Any:
+        asked.append(cpu_seconds)
+        return settings.model_copy(update={"colors": (1.0, 0.0, 0.0), "path": Path("there")})
+
+    def load(name: str) -> Pipeline:
+        return pipeline(toys, name)
+
+    first, asked, said, machine = pipeline(toys), list[float](), list[str](), Machine(monkeypatch)
+    monkeypatch.setattr(first.one("scene").offer.component, "within", within)
+    machine.now += 1.0
+    budget = machine.budget(9.0)
+    fit = WithinSeconds(said.append, kept={"scene.path"}, budget=budget, load=load)
+    machine.now += 1.0
+    run = trained(first, device, tmp_path / "run", fit)
+    told = "colors: (1.0, 0.0, 0.0) instead of (0.0, 0.0, 0.0)"
+    assert said[0] == f"{told}: time is short"
+    assert 0 < asked[0] <= 4.0 * (os.cpu_count() or 1)
+    assert f"iterations, {told}; for a better scene: stereogs train here" in str(
+        run.initialization[HURRIED]
+    )
 
 
 def test_ctrl_c_ends_a_training_that_would_start_again(

@@ -117,13 +117,28 @@ def test_the_browser_shows_the_scene_and_follows_the_controls(
         serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
 
 
-def test_a_lost_camera_returns_to_the_photographs(viewer: Viewer, subject: Subject) -> None:
-    start = start_pose(subject)
+def test_a_camera_stays_near_the_photographs_until_it_may_leave(
+    viewer: Viewer, subject: Subject
+) -> None:
+    start, far = start_pose(subject), (30.0, 0.0, 0.0)
+    place = tuple((start.position / start.distance).tolist())
     with visit(viewer.url) as page:
         received = Received(page)
-        move(page, (30.0, 0.0, 0.0))
+        move(page, far)  # a browser's own pose, before it takes the start pose
         serve_until(viewer, received, lambda: received.picture is not None)
+        assert received.position == pytest.approx(place)
+        for there in (place, far):
+            received.picture = received.position = None
+            move(page, there)
+            serve_until(viewer, received, lambda: received.picture is not None)
+        serve_until(viewer, received, lambda: received.position is not None)
+        assert received.position is not None
+        assert 0.1 < np.linalg.norm(np.subtract(received.position, place)) < 1
+        change(page, received.controls["Stay near the photographs"], False)
         received.position = None
+        move(page, far)
+        received.read(0.5)
+        assert received.position is None
         change(page, received.controls["Back to the photographs"], True)
         serve_until(viewer, received, lambda: received.position is not None)
         assert received.position == pytest.approx(tuple(start.position / start.distance))

@@ -63,6 +63,20 @@ def test_a_video_is_a_scene_of_its_sharp_frames(
     assert [*(cache / "frames").iterdir()] != []
 
 
+def test_short_time_takes_fewer_frames_unless_their_cameras_may_be_known(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
+    asked = build(VideoScene, path=clip, frames=9).settings
+    taken = [VideoScene.within(asked, seconds).frames for seconds in (0, 41, 44, 300)]
+    assert taken == [6, 8, 8, 9]
+    (tmp_path / "chosen").mkdir()
+    video_file._extract(clip, 9, tmp_path / "chosen")
+    assert VideoScene.within(asked, 0).frames == 9
+    missing = build(VideoScene, path=tmp_path / "missing.mp4").settings
+    assert VideoScene.within(missing, 0) is missing
+
+
 def test_an_error_names_the_video(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video_file, "_extract", lambda *_: None)
     with pytest.raises(SceneError, match="the folder has 0") as caught:
