@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from core_rasterizer import Device
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
-from registry.discovery import Offer, Plugins
+from registry.discovery import OWN_PACKAGE, Offer, Plugins
 from registry.errors import PipelineError
 from registry.pipeline.edits import expand
 from registry.pipeline.parts import Part, build_part
@@ -53,11 +53,10 @@ def choose_runner(
         PluginError: no plugin offers the runner, or it cannot be loaded or built.
     """
 
-    def find(point: HookPoint, name: str) -> Offer:
+    def find(point: HookPoint, name: str, preferred: str | None) -> Offer:
         if name != LOCAL:
-            return plugins.find(point, name)
-        package = "stereogs-plugins"
-        return Offer(point, LOCAL, local, "registry", package, version(package))
+            return plugins.find(point, name, preferred)
+        return Offer(point, LOCAL, local, "registry", OWN_PACKAGE, version(OWN_PACKAGE))
 
     if jobs is not None:
         place = Place(f"--jobs {jobs}")
