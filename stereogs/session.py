@@ -163,8 +163,8 @@ def scene_from_arrays(
         bounds, points, background, name: as in `registry.Scene`.
 
     Raises:
-        SceneError: the numbers of cameras, weights and images differ, an index in `test` does not exist, or the
-            scene is not valid (`registry.validate`).
+        SceneError: the numbers of cameras, weights and images differ, an index in `test` does not exist, or
+            the scene is not valid (`registry.validate`).
     """
     if len(images) != len(cameras):
         what = f"{len(images)} images and {len(cameras)} cameras were given"
