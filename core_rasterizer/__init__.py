@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         Carried as Carried,
         Edit as Edit,
         Engine as Engine,
+        GaussianKernel as GaussianKernel,
         GaussianModel as GaussianModel,
         GaussianReader as GaussianReader,
         Model as Model,

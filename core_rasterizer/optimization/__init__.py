@@ -3,6 +3,7 @@
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .engine import Engine, Model
+from .gaussian_kernel import GaussianKernel
 from .model import GaussianModel, GaussianReader, OpenCLEngine
 from .photometric import photometric_loss
 from .pixel_term import PixelTerm
@@ -13,6 +14,7 @@ __all__ = [
     "Carried",
     "Edit",
     "Engine",
+    "GaussianKernel",
     "GaussianModel",
     "GaussianReader",
     "Model",
