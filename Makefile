@@ -10,8 +10,10 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
+RELEASE := $(if $(TORCH_INDEX),PIP_EXTRA_INDEX_URL=$(TORCH_INDEX)) $(BIN)/python -m tests.release
+
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
-	runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
+	package pythons runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
 	methods parts results curve profile gpu \
 	bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
 
@@ -66,6 +68,15 @@ races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, whi
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
 	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs/verbs/test_new_plugin.py
 
+package: $(VENV)/.dev ## wheels and sdists in dist/, installed into an empty environment and used there; minutes
+	$(PIP) build twine
+	$(RELEASE)
+
+# TESTS=tests runs all of them.
+pythons: $(VENV)/.dev ## tests against the built wheels on each Python from 3.11 that is installed; up to an hour
+	$(PIP) build twine
+	$(RELEASE).pythons $(TESTS)
+
 loggers: $(VENV)/.dev ## the loggers against the packages that they log with, which are large; minutes
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
@@ -74,9 +85,11 @@ cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker 
 	$(PIP) --editable '.[dev,cluster]'
 	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
 
-lint: $(VENV)/.dev ## ruff: rules and format
+lint: $(VENV)/.dev ## ruff: rules and format; workflow files by their schema
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
 types: $(VENV)/.dev ## mypy, strict
 	$(BIN)/mypy
@@ -123,6 +136,9 @@ bench-confidence: $(VENV)/.dev ## how well confidence predicts errors of test vi
 bench-skips: $(VENV)/.dev ## time and PSNR of each shortcut of a pipeline, over an hour; rewrites tables; resumable
 	$(BIN)/python -m benchmarks.campaigns skips --write-docs
 
+bench-growth: $(VENV)/.dev ## CPU time and memory with 3 to 300 views; rewrites a table
+	$(BIN)/python -m benchmarks.growth --write-docs
+
 profile: $(VENV)/.dev ## time of each stage of weightfree_fast; rewrites its table
 	$(BIN)/python -m benchmarks.where_seconds_go --write-docs
 
@@ -145,14 +161,14 @@ clean: ## remove the environment and what was built
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 
 # The environment is rebuilt only when what it is made from has changed.
-$(VENV)/.runtime: pyproject.toml constraints.txt
+$(VENV)/.runtime: pyproject.toml core_rasterizer/pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) (a few minutes the first time)"
-	$(PIP) --editable '.[video]'
+	$(PIP) --editable ./core_rasterizer --editable '.[video]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
-	$(PIP) --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
+	$(PIP) --editable ./core_rasterizer --editable '.[dev,browser,heic,notebook,plot,video,viewer]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.dev

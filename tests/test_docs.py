@@ -83,10 +83,17 @@ def test_the_plugin_of_the_readme_installs_and_trains(tmp_path: Path) -> None:
     assert json.loads(lines[-1])["regularizers.opaque"] > 0
 
 
-def test_the_citation_is_of_this_version() -> None:
+def test_citation_and_distributions_are_of_one_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    project, engine = (
+        tomllib.loads((ROOT / folder / "pyproject.toml").read_text("utf-8"))["project"]
+        for folder in (".", "core_rasterizer")
+    )
+    for key in ("version", "license", "requires-python"):
+        assert project[key] == engine[key] == citation.get(key, engine[key])
+    assert f"{engine['name']}=={engine['version']}" in project["dependencies"]
+    pythons = [[c for c in p["classifiers"] if "Python" in c] for p in (project, engine)]
+    assert pythons[0] == pythons[1]
 
 
 def test_the_tutorial_shows_commands() -> None:

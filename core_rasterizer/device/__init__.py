@@ -1,6 +1,6 @@
 """OpenCL devices: choose one by name, build kernels once, share memory with torch where possible."""
 
-from . import drivers  # noqa: F401 - before pyopencl is imported
+from .drivers import INTEL  # isort: skip - before pyopencl is imported
 from .array import DeviceArray, Scratch
 from .choice import Description, choose
 from .device import Device, Kind, list_devices, open_device
@@ -12,6 +12,7 @@ from .trial import Trial, described, tried
 
 __all__ = [
     "CORRECT_CPU_NAME",
+    "INTEL",
     "Description",
     "Device",
     "DeviceArray",

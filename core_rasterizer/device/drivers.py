@@ -10,8 +10,10 @@ import atexit
 import logging
 import os
 import shutil
+import sys
 import tempfile
 from functools import cache
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,18 @@ POCL_CACHE_DIR = "POCL_CACHE_DIR"
 _PYOPENCL_NO_CACHE = "PYOPENCL_NO_CACHE"
 """Environment variable: 1 keeps nothing. pyopencl reads it when it is imported."""
 _POCL = "Portable Computing Language"
+INTEL = "pip install 'stereogs-rasterizer[intel]'"
+"""Command that installs the runtime."""
+_VENDORS = "OCL_ICD_VENDORS"
+"""Environment variable: a folder of .icd files, which name drivers' libraries, instead of the system's."""
+_FILENAMES = "OCL_ICD_FILENAMES"
+"""Environment variable of Khronos's loader: further drivers' libraries."""
+_SYSTEM = Path("/etc/OpenCL/vendors")
+_INTEL_LIBRARIES = ("libintelocl.so", "intelocl64.dll")
+_ADVICE = {
+    "linux": "`pip install pocl-binary-distribution` brings one for x86-64 CPUs",
+    "win32": f"`{INTEL}` brings one for x86-64 CPUs",
+}
 _SPACE = 20_000_000
 """Bytes that a folder needs; all kernels of a run take one million."""
 _log = logging.getLogger(__name__)
@@ -46,7 +60,7 @@ def platforms() -> list[cl.Platform]:
 def no_device() -> DeviceError:
     """Return the error that says why no device is listed."""
     names = [str(platform.name) for platform in platforms()]
-    driver = "`pip install pocl-binary-distribution` brings one for any CPU"
+    driver = _ADVICE.get(sys.platform, "the maker of your GPU or CPU has one")
     if not names:
         return DeviceError("no OpenCL platform was found", fix=f"install a driver: {driver}")
     if any(_POCL in name for name in names) and (problem := problem_of(_pocl_cache())):
@@ -80,10 +94,9 @@ def _provide_pocl_cache() -> None:
         return
     advice = f"set {POCL_CACHE_DIR} to a folder on a disk with free space"
     try:
-        other = Path(tempfile.mkdtemp(prefix="pocl-"))
+        other = _folder_until_exit("pocl-")
     except OSError:  # no device is found then, which `no_device` explains
         return
-    atexit.register(_remove, other, os.getpid())
     if remaining := problem_of(other):
         _log.warning(
             "PoCL's cache %s %s, and %s %s: PoCL may end the process (LLVM ERROR); %s",
@@ -120,9 +133,57 @@ def _caches() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
 
 
+def _offer_intel_runtime() -> None:
+    """Tell the OpenCL loader of Intel's runtime if pip installed it; to be called before its first use.
+
+    A loader finds drivers in /etc/OpenCL/vendors, in the registry of Windows, or by an environment variable.
+    pip can write to neither of the first two. A variable that the user set stays; child processes inherit it.
+    """
+    on_windows = sys.platform == "win32"
+    name = _FILENAMES if on_windows else _VENDORS
+    if os.environ.get(name) or (library := intel_library()) is None:
+        return
+    if on_windows:
+        os.environ[name] = str(library)
+        os.environ["PATH"] = os.pathsep.join((str(library.parent), os.environ.get("PATH", "")))
+        return
+    try:
+        folder = _folder_until_exit("opencl-drivers-")
+        for driver in _SYSTEM.glob("*.icd"):
+            shutil.copy(driver, folder)
+        (folder / "intel-by-pip.icd").write_text(f"{library}\n", "utf-8")
+    except OSError:  # the system's drivers remain
+        return
+    os.environ[name] = str(folder)
+
+
+def intel_library() -> Path | None:
+    """Return the library of Intel's runtime in this environment, or None."""
+    try:
+        recorded = files("intel-opencl-rt") or ()
+    except PackageNotFoundError:
+        return None
+    found = (
+        Path(str(file.locate())).resolve() for file in recorded if file.name in _INTEL_LIBRARIES
+    )
+    return next((library for library in found if library.exists()), None)
+
+
+def _folder_until_exit(prefix: str) -> Path:
+    """Create a folder; it is removed when this process ends, and not when its forked children do.
+
+    Raises:
+        OSError: none can be created.
+    """
+    folder = Path(tempfile.mkdtemp(prefix=prefix))
+    atexit.register(_remove, folder, os.getpid())
+    return folder
+
+
 def _remove(folder: Path, process: int) -> None:
-    if os.getpid() == process:  # not in its forked children
+    if os.getpid() == process:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 _skip_pyopencl_cache()
+_offer_intel_runtime()

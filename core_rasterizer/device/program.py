@@ -13,6 +13,7 @@ import pyopencl as cl
 from ..errors import DeviceError
 from ..layout import KERNEL_HEADER
 from .array import DeviceArray
+from .drivers import INTEL
 from .memory import DeviceMemory
 from .signature import signatures
 
@@ -54,9 +55,7 @@ class Program:
             raise DeviceError(
                 f"the OpenCL compiler of {device.name!r} failed on the kernels {', '.join(names)}",
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
-                fix="correct the source; the compiler counts its lines from 1"
-                if texts
-                else "update the OpenCL driver, or choose another device; `stereogs doctor` lists them",
+                fix=_fix(str(error), own_text=bool(texts)),
             ) from error
         self._device = device
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
@@ -106,3 +105,11 @@ def _source(name: str | KernelText) -> str:
         return name.text
     folder, _, file = name.partition("/")
     return resources.files(_PACKAGE).joinpath(folder, "kernels", f"{file}.cl").read_text("utf-8")
+
+
+def _fix(message: str, *, own_text: bool) -> str:
+    if "unknown target CPU" in message:  # Clang's words for a processor that is newer than itself
+        return f"{INTEL}: it brings a newer driver, which knows the processor and is then used"
+    if own_text:
+        return "correct the source; the compiler counts its lines from 1"
+    return "update the OpenCL driver, or choose another device; `stereogs doctor` lists them"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from fractions import Fraction
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field
 
@@ -91,12 +91,24 @@ class TrainingSettings(Settings):
     and random numbers; losses and policies see the other fields. The first field is scored."""
     max_gaussians: Positive | None = None
     """Densification adds no Gaussians beyond this number; initial ones may be more. Null: no limit."""
+    max_gaussians_views: Positive | None = None
+    """With iterations per view: number of training views up to which `max_gaussians` holds. With more views,
+    it is higher in proportion. Null: it does not depend on the views."""
     checkpoint_every: Count = 0
     """Iterations between checkpoints, besides those at the start, at the end and at intervals of time;
     0 for none."""
     evaluate_every: Count | None = None
     """Iterations between evaluations of the test views, which do not count as training time; 0: only at
     the end; null: after each quarter, if a quarter has 50 iterations or more."""
+
+    def for_views(self, views: int) -> Self:
+        """Return the settings with the learning rates and the limit of Gaussians for a number of views."""
+        changes: dict[str, Any] = {"learning_rates": self.learning_rates.for_views(views)}
+        if self.max_gaussians is not None and self.max_gaussians_views is not None:
+            full = self.max_gaussians_views
+            most = self.max_gaussians * max(views, full) // full
+            changes |= {"max_gaussians": most, "max_gaussians_views": None}
+        return self.model_copy(update=changes)
 
     def scaled(self, iterations: int) -> Self:
         """Return the settings with another number of iterations, and schedules in proportion."""

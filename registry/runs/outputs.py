@@ -180,5 +180,8 @@ def _outputs(
         except ExplainedError as error:
             failures.append(Failure.of(part.item.qualified_name, error))
         else:
-            files += [str(f.relative_to(root) if f.is_relative_to(root) else f) for f in written]
+            files += [
+                f.relative_to(root).as_posix() if f.is_relative_to(root) else str(f)
+                for f in written
+            ]
     return files, failures

@@ -7,9 +7,10 @@ import json
 import os
 import re
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,9 @@ def new_folder(path: Path) -> Iterator[Path]:
         inside = Path(temporary, "inside")  # TemporaryDirectory's own folder is private (mode 700)
         inside.mkdir()
         yield inside
+        if sys.platform == "win32":  # which renames to no folder that exists
+            with suppress(FileNotFoundError):
+                path.rmdir()
         inside.rename(path)
 
 

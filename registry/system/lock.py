@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -10,13 +11,31 @@ from typing import NamedTuple
 
 from ..errors import RunError
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such lock, and a second process is not refused there
-    fcntl = None  # type: ignore[assignment]
-
 LOCK = ".lock"
 """The locked file; it holds the number of the process that has the lock."""
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _LOCKED_BYTE = (
+        1 << 30
+    )  # other processes may not read what is locked, and the number is before it
+
+    def _lock(descriptor: int, mode: int = msvcrt.LK_NBLCK) -> None:
+        os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, mode, 1)
+
+    def _unlock(descriptor: int) -> None:
+        _lock(descriptor, msvcrt.LK_UNLCK)
+
+else:
+    import fcntl
+
+    def _lock(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _unlock(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # a forked child may hold the file open
 
 
 class Lock(NamedTuple):
@@ -24,7 +43,7 @@ class Lock(NamedTuple):
 
     Args:
         descriptor: file descriptor; if this process is killed, the lock lasts until all processes that
-            inherited it have ended. None on Windows.
+            inherited it have ended. None on Windows, where none inherits it.
         killed: number of the previous process if it was killed, or None.
     """
 
@@ -48,11 +67,8 @@ def locked(folder: Path) -> Iterator[Lock]:
             fix="check the permissions, or copy the folder to another place",
         ) from error
     try:
-        if fcntl is None:
-            yield Lock(None, None)
-            return
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(descriptor)
         except OSError as error:
             process = _process(descriptor)
             number = f", number {process}" if process else ""
@@ -64,21 +80,23 @@ def locked(folder: Path) -> Iterator[Lock]:
         before = _process(descriptor)
         _note(descriptor, str(os.getpid()))
         try:
-            yield Lock(descriptor, before)
+            yield Lock(None if sys.platform == "win32" else descriptor, before)
         finally:
             _note(descriptor, "")
-            fcntl.flock(descriptor, fcntl.LOCK_UN)  # a forked child may hold the file open
+            _unlock(descriptor)
     finally:
         os.close(descriptor)
 
 
 def _process(descriptor: int) -> int | None:
     """Return the number in the lock file; None if its process released the lock."""
-    text = os.pread(descriptor, 20, 0)
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    text = os.read(descriptor, 20)
     return int(text) if text.isdigit() else None
 
 
 def _note(descriptor: int, text: str) -> None:
     with suppress(OSError):  # full disk: the lock works without the number
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, text.encode(), 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, text.encode())

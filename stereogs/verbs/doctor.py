@@ -95,12 +95,14 @@ def _verdict(trial: Trial) -> str:
 
 def _kernels(trial: Trial) -> str:
     """Return a line on the processor that kernels are built for, if an old driver does not know it."""
-    from core_rasterizer.device import CORRECT_CPU_NAME
+    from core_rasterizer.device import CORRECT_CPU_NAME, INTEL
 
+    newer = f"\n  {INTEL} brings a driver that knows the processor"
     if trial.built_for:
-        return f"\n  kernels are built for {trial.built_for}, which the driver was told"
+        return f"\n  kernels are built for {trial.built_for}, which the driver was told{newer}"
     if better := trial.could_be_built_for:
-        return f"\n  {CORRECT_CPU_NAME}=1 has faster kernels built, for {better} (docs/limits.md)"
+        faster = f"{CORRECT_CPU_NAME}=1 has faster kernels built, for {better} (docs/limits.md)"
+        return f"\n  {faster}{newer}"
     return ""
 
 

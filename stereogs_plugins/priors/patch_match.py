@@ -60,9 +60,7 @@ class PatchMatchPrior(MultiViewDepthPrior[PatchMatchSettings]):
         settings = self.settings
         reach = bounds[0] * NEAR_MARGIN, bounds[1] * FAR_MARGIN
         cameras = [view.camera for view in views]
-        sources = [
-            source_views(cameras, index, settings.max_sources, reach) for index in range(len(views))
-        ]
+        sources = source_views(cameras, settings.max_sources, reach)
         if not all(sources):
             raise PluginError(
                 f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",

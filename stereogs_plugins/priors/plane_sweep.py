@@ -112,10 +112,7 @@ class PlaneSweep(MultiViewDepthPrior[PlaneSweepSettings]):
         farthest, step = 1 / far, (1 / near - 1 / far) / (planes - 1)
         inverse_depths = farthest + step * torch.arange(planes, dtype=torch.float64)
         cameras = [view.camera for view in views]
-        sources = [
-            source_views(cameras, index, self.settings.max_sources, (near, far))
-            for index in range(len(views))
-        ]
+        sources = source_views(cameras, self.settings.max_sources, (near, far))
         if not all(sources):
             raise PluginError(
                 f"the {len(cameras)} cameras are at the same position, so depth cannot be estimated",

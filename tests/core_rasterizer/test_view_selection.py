@@ -24,33 +24,39 @@ def around(degrees: float, *, distance: float = 4.0, outwards: bool = False) -> 
 
 def test_few_views_are_all_taken_the_nearest_first() -> None:
     cameras = [around(angle) for angle in (0, 170, 20, -8)]
-    assert source_views(cameras, 0, 3, BOUNDS) == [3, 2, 1]
-    assert source_views(cameras, 0, 6, BOUNDS) == [3, 2, 1]
+    assert source_views(cameras, 3, BOUNDS)[0] == [3, 2, 1]
+    assert source_views(cameras, 6, BOUNDS)[0] == [3, 2, 1]
 
 
 def test_of_many_views_those_at_a_good_angle_are_taken() -> None:
     """Not the nearest, which sees no parallax, nor those from behind."""
     cameras = [around(angle) for angle in (0, 0.3, 180, 90, 6, -12, -150)]
-    assert source_views(cameras, 0, 2, BOUNDS) == [4, 5]
-    assert source_views(cameras, 0, 1, BOUNDS) == [4]
+    assert source_views(cameras, 2, BOUNDS)[0] == [4, 5]
+    assert source_views(cameras, 1, BOUNDS)[0] == [4]
 
 
 def test_a_view_that_sees_nothing_of_the_same_is_not_tried() -> None:
     away = [around(angle, outwards=True) for angle in (5, -10, 8)]
     cameras = [around(0), *away, around(15)]
-    assert source_views(cameras, 0, 3, BOUNDS) == [4]
+    assert source_views(cameras, 3, BOUNDS)[0] == [4]
 
 
 def test_without_a_view_that_sees_the_same_the_nearest_are_taken() -> None:
     cameras = [around(0), *(around(angle, outwards=True) for angle in (-10, 5, 20))]
     assert not matching_scores(cameras[0], cameras[1:], BOUNDS).any()
-    assert source_views(cameras, 0, 2, BOUNDS) == [2, 1]
+    assert source_views(cameras, 2, BOUNDS)[0] == [2, 1]
 
 
 def test_views_in_the_same_place_are_left_out() -> None:
     cameras = [around(0)] * 3
-    assert source_views(cameras, 1, 2, BOUNDS) == []
-    assert source_views([*cameras, around(10)], 1, 2, BOUNDS) == [3]
+    assert source_views(cameras, 2, BOUNDS)[1] == []
+    assert source_views([*cameras, around(10)], 2, BOUNDS)[1] == [3]
+
+
+def test_of_very_many_views_those_at_the_best_angle_are_taken() -> None:
+    """The nearest ones of a dense capture have too small an angle."""
+    cameras = [around(angle / 4) for angle in range(-100, 101)]
+    assert all(16 <= abs(k - 100) <= 32 for k in source_views(cameras, 8, BOUNDS)[100])
 
 
 @pytest.mark.parametrize("degrees", [3.0, 5.0, 25.0])

@@ -279,14 +279,17 @@ def _without_equal_poses(scene: Scene) -> Scene:
     Raises:
         SceneError: fewer than three others would be left; one of the poses is most likely a copy.
     """
-    kept: list[View] = []
+    import torch
+
+    poses = torch.stack([view.camera.world_to_camera for view in scene.train])
+    kept: list[int] = []
     copies: list[tuple[View, View]] = []
-    for view in scene.train:
-        twin = next((other for other in kept if _same_pose(view, other, scene.bounds[0])), None)
-        if twin is None:
-            kept.append(view)
+    for index, view in enumerate(scene.train):
+        twins = _same_pose(poses[index], poses[kept], scene.bounds[0]).nonzero()
+        if len(twins):
+            copies.append((scene.train[kept[int(twins[0])]], view))
         else:
-            copies.append((twin, view))
+            kept.append(index)
     if not copies:
         return scene
     if len(kept) < _MIN_VIEWS_WITHOUT_COPIES:
@@ -303,17 +306,16 @@ def _without_equal_poses(scene: Scene) -> Scene:
             *(scene.name, first.name, second.name, second.name),
         )
     fact = Fact("left_out_for_equal_pose", ", ".join(view.name for _, view in copies))
-    return replace(scene, train=tuple(kept), facts=(*scene.facts, fact))
+    train = tuple(scene.train[index] for index in kept)
+    return replace(scene, train=train, facts=(*scene.facts, fact))
 
 
-def _same_pose(view: View, other: View, near: float) -> bool:
-    """Whether two cameras differ by rounding only; `near` is the near bound of the scene."""
-
-    first, second = view.camera.world_to_camera, other.camera.world_to_camera
-    turned = float((first[:3, :3] - second[:3, :3]).abs().max())
-    shift = float((first[:3, 3] - second[:3, 3]).abs().max())
-    rounding = 1e-14 * float(first[:3, 3].abs().max())
-    return turned <= 1e-9 and shift <= max(1e-9 * near, rounding)
+def _same_pose(pose: Tensor, others: Tensor, near: float) -> Tensor:
+    """Which poses `[N, 4, 4]` differ from a pose by rounding only; `near` is the near bound of the scene."""
+    turned = (pose[:3, :3] - others[:, :3, :3]).abs().amax(dim=(1, 2))
+    shift = (pose[:3, 3] - others[:, :3, 3]).abs().amax(dim=1)
+    rounding = 1e-14 * float(pose[:3, 3].abs().max())
+    return (turned <= 1e-9) & (shift <= max(1e-9 * near, rounding))
 
 
 def _in_unit_range(values: Tensor) -> bool:

@@ -94,5 +94,5 @@ def module_digest(name: str) -> str:
     digest = hashlib.sha256(name.encode())
     for folder in map(Path, folders):
         for path in sorted(p for p in folder.rglob("*") if p.suffix in _SOURCES):
-            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+            digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from core_rasterizer import Camera
 
 from ...errors import RunError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Vector = NDArray[np.float64]
 
@@ -37,6 +39,9 @@ def smooth_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     Raises:
         RunError: There are fewer than two cameras or frames.
     """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
     if len(cameras) < 2 or frames < 2:
         raise RunError(
             f"no path exists through {len(cameras)} camera(s) in {frames} frame(s)",
@@ -131,6 +136,8 @@ def upright_rotation(cameras: Sequence[Camera]) -> Rotation:
 
     Up is that of the one or more cameras (`upwards`); the viewing direction becomes horizontal.
     """
+    from scipy.spatial.transform import Rotation
+
     up = upwards(cameras)
     first = cameras[0].world_to_camera.numpy()
     back = -first[2, :3] + (first[2, :3] @ up) * up

@@ -146,8 +146,8 @@ def pairs_to_match(cameras: Sequence[Camera], bounds: tuple[float, float]) -> li
     """
     found = {
         (min(index, partner), max(index, partner))
-        for index in range(len(cameras))
-        for partner in source_views(cameras, index, MAX_PARTNERS, bounds)
+        for index, partners in enumerate(source_views(cameras, MAX_PARTNERS, bounds))
+        for partner in partners
     }
     return sorted(found)
 

@@ -59,18 +59,26 @@ def consistent_depths(
     cameras: Sequence[Camera], depths: Sequence[DepthImage], limits: Limits
 ) -> list[DepthImage]:
     """For each view the mean of its own and the agreeing depths; 0 where too few source views agree."""
-    return [fused_depth(cameras, depths, index, limits)[0] for index in range(len(cameras))]
+    sources = source_indices(tuple(cameras), limits.bounds)
+    return [
+        fused_depth(cameras, depths, index, sources[index], limits)[0]
+        for index in range(len(cameras))
+    ]
 
 
 def fused_depth(
-    cameras: Sequence[Camera], depths: Sequence[DepthImage], index: int, limits: Limits
+    cameras: Sequence[Camera],
+    depths: Sequence[DepthImage],
+    index: int,
+    sources: Sequence[int],
+    limits: Limits,
 ) -> tuple[DepthImage, Indices]:
     """Fused depth of one view and the number of agreeing source views; both 0 where too few agree."""
     camera, depth = cameras[index], depths[index]
     u, v = pixel_centers(camera)
     total, votes = depth.astype(np.float64), np.zeros(depth.shape, dtype=np.intp)
     points = lift(camera, u, v, depth)
-    for source in source_indices(cameras, index, limits.bounds):
+    for source in sources:
         back_u, back_v, back_z = _reproject(camera, points, cameras[source], depths[source])
         reprojection_error = np.hypot(back_u - u, back_v - v)
         agrees = (depth > 0) & (reprojection_error < limits.max_reprojection_error)
@@ -119,9 +127,13 @@ def most_confirmed(
     Args:
         depths_by_prior: for each prior and view, `[H, W]`, 0 where unknown.
     """
+    sources = source_indices(tuple(cameras), limits.bounds)
 
     def select(index: int) -> SelectedDepth:
-        fused = [fused_depth(cameras, depths, index, limits) for depths in depths_by_prior]
+        fused = [
+            fused_depth(cameras, depths, index, sources[index], limits)
+            for depths in depths_by_prior
+        ]
         prior = np.argmax([votes for _, votes in fused], axis=0)
         return SelectedDepth(
             depth=_take([depths[index] for depths in depths_by_prior], prior),

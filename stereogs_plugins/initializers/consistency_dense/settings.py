@@ -31,7 +31,7 @@ class ConsistencyDenseSettings(Settings):
     merge: bool = False
     """Drop points on surfaces that an earlier view has confirmed: fewer points, sharper pictures."""
     max_points: int | None = Field(150_000, ge=1)
-    """Keep a random choice of this many points; null keeps all."""
+    """Keep a random choice of this many points, in proportion more with over 48 views; null keeps all."""
     sigma: float | None = Field(None, gt=0)
     """Size of the Gaussians relative to their spacing in the image; null: from the three nearest
     neighbours."""

@@ -6,7 +6,8 @@ True where the test holds for at least one view. Depths are 0 where unknown.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -21,21 +22,34 @@ if TYPE_CHECKING:
 
     Views = Iterable[tuple[Camera, DepthImage]]
 
+View = TypeVar("View")
 MAX_SOURCES = 8
 """Source views per view; more cost time and confirm hardly more."""
+MOST_VIEWS = 48
+"""Views that a test of all points looks into; all would take time quadratic in the views."""
 FREE_SPACE = 0.05
 """A point is in free space if a surface behind it is farther by more than this, relative to the point."""
 SAME_SURFACE = 0.02
 """A point is on a surface if their depths differ by less than this, relative to the point's."""
 
 
-def source_indices(cameras: Sequence[Camera], index: int, bounds: tuple[float, float]) -> list[int]:
-    """Sorted indices of the source views of one view, chosen by triangulation angle and overlap.
+@lru_cache(maxsize=1)
+def source_indices(
+    cameras: tuple[Camera, ...], bounds: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
+    """For each view the sorted indices of its source views, chosen by triangulation angle and overlap.
+
+    The answer is kept: each step of the initializer asks for the same lists.
 
     Args:
         bounds: (near, far) z-depth of the scene's content, world units.
     """
-    return sorted(source_views(cameras, index, MAX_SOURCES, bounds))
+    return tuple(tuple(sorted(found)) for found in source_views(cameras, MAX_SOURCES, bounds))
+
+
+def spread(views: Sequence[View]) -> Sequence[View]:
+    """At most `MOST_VIEWS` views, evenly spread over the given order."""
+    return views[:: -(-len(views) // MOST_VIEWS)]
 
 
 def in_free_space(points: Floats, views: Views) -> Mask:

@@ -43,3 +43,21 @@ def test_a_folder_that_cannot_be_filled_is_removed(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_folder_gives_way_on_windows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename, final = Path.rename, tmp_path / "x"
+
+    def as_on_windows(path: Path, target: Path) -> Path:
+        if target.exists():
+            raise FileExistsError(target)
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", as_on_windows)
+    monkeypatch.setattr("sys.platform", "win32")
+    final.mkdir()
+    with new_folder(final) as folder:
+        (folder / "file").touch()
+    assert [path.name for path in final.iterdir()] == ["file"]

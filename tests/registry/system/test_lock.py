@@ -27,10 +27,27 @@ with locked(Path(sys.argv[1])):
 """
 
 
+AS_ON_WINDOWS = """
+import fcntl, os, sys, types
+import registry
+def locking(descriptor, mode, bytes):
+    fcntl.lockf(descriptor, mode, bytes, 0, os.SEEK_CUR)
+sys.modules["msvcrt"] = types.SimpleNamespace(
+    locking=locking, LK_NBLCK=fcntl.LOCK_EX | fcntl.LOCK_NB, LK_UNLCK=fcntl.LOCK_UN
+)
+sys.modules.pop("registry.system.lock", None)
+sys.platform = "win32"
+"""
+
+
 @contextmanager
-def other_process(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Lock the folder in another process, which is killed afterwards."""
-    command = [sys.executable, "-c", HOLD, str(folder)]
+def other_process(folder: Path, first: str = "") -> Iterator[subprocess.Popen[str]]:
+    """Lock the folder in another process, which is killed afterwards.
+
+    Args:
+        first: code that it runs before.
+    """
+    command = [sys.executable, "-c", first + HOLD, str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "locked\n"
@@ -54,6 +71,20 @@ def test_a_second_process_is_refused_until_the_first_is_killed(
     with run.locked():
         pass
     assert caplog.text == ""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks with the functions of POSIX")
+def test_windows_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    with other_process(tmp_path, AS_ON_WINDOWS) as other:
+        second = subprocess.run(
+            [sys.executable, "-c", AS_ON_WINDOWS + HOLD, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            timeout=50,
+        )
+        assert f"in use by another process, number {other.pid}" in second.stderr
+    with other_process(tmp_path, AS_ON_WINDOWS):
+        pass
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

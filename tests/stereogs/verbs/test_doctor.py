@@ -92,6 +92,7 @@ def test_doctor_names_the_processor_if_the_driver_does_not_know_it(
     assert main(["doctor"]) == 0
     output = capsys.readouterr().out
     assert line in output if line else "kernels" not in output
+    assert ("stereogs-rasterizer[intel]" in output) == (line is not None)
 
 
 def test_doctor_marks_the_fastest_device(capsys: Capture, two_devices: dict[str, Trial]) -> None:

@@ -54,7 +54,8 @@ def guesses(
         also_shown: also guess where a confirmed point of another view with the pixel's colour falls.
         planes: continue planes where known depths lie on one, before other holes are filled.
     """
-    cameras = [view.camera for view in scene.train]
+    cameras = tuple(view.camera for view in scene.train)
+    sources = source_indices(cameras, scene.bounds)
     images = [view.image.numpy() for view in scene.train]
     all_evidence: list[Evidence] = []
     if analysis.wide or not also_shown:
@@ -71,7 +72,7 @@ def guesses(
         flat = plane_depths(image, known) if planes else np.zeros_like(known)
         depth = flat + fill_holes(image, known + flat)
         points = lift(camera, *pixel_centers(camera), depth)
-        others = source_indices(cameras, index, scene.bounds)
+        others = sources[index]
         depth[in_free_space(points, [(cameras[k], confirmed[k]) for k in others])] = 0
         evidence = [all_evidence[k] for k in others] if all_evidence else []
         if analysis.wide:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 from registry.toolkit.progress import in_parallel
 
 from ..layers import Layer, joined, surface
-from ..visibility import in_free_space, on_surface, onto_known_depth, source_indices, visible
+from ..visibility import (
+    in_free_space,
+    on_surface,
+    onto_known_depth,
+    source_indices,
+    spread,
+    visible,
+)
 from .back_layer import back_layer
 from .margin import margin
 
@@ -27,12 +34,13 @@ def surfaces(
         bounds: (near, far) z-depth of the scene's content, world units.
         merge: drop confirmed points on surfaces that an earlier view confirms.
     """
+    sources = _sources(views, bounds)
 
     def confirmed(index: int) -> Layer:
         layer = surface(views[index], views[index].confirmed > 0, stride)
         if not merge:
             return layer
-        earlier = [o for k, o in _sources(views, index, bounds).items() if k < index]
+        earlier = [views[k] for k in sources[index] if k < index]
         return layer.without(
             on_surface(layer.positions, [(o.camera, o.confirmed) for o in earlier])
         )
@@ -48,10 +56,11 @@ def surfaces(
 
 def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """Back layers of all views, except where another view contradicts them or has a surface there."""
+    sources = _sources(views, bounds)
 
     def remaining(index: int) -> Layer:
         layer = back_layer(views[index])
-        others = _sources(views, index, bounds).values()
+        others = [views[k] for k in sources[index]]
         layer = layer.without(
             in_free_space(layer.positions, [(o.camera, o.confirmed) for o in others])
         )
@@ -62,10 +71,11 @@ def back_layers(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Laye
 
 def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
     """Margins of all views, outside the known depths of all others."""
+    sources = _sources(views, bounds)
 
     def remaining(index: int) -> Layer:
         layer = margin(views[index])
-        others = _sources(views, index, bounds).values()
+        others = [views[k] for k in sources[index]]
         known = onto_known_depth(layer.positions, [(o.camera, o.completed) for o in others])
         return layer.without(known)
 
@@ -74,11 +84,10 @@ def margins(views: Sequence[ViewDepth], bounds: tuple[float, float]) -> Layer:
 
 def hidden(points: Floats, views: Sequence[ViewDepth]) -> Mask:
     """World points `[P, 3]` that no view can see."""
-    return ~visible(points, [(view.camera, view.completed) for view in views])
+    return ~visible(points, [(view.camera, view.completed) for view in spread(views)])
 
 
 def _sources(
-    views: Sequence[ViewDepth], index: int, bounds: tuple[float, float]
-) -> dict[int, ViewDepth]:
-    cameras = [view.camera for view in views]
-    return {k: views[k] for k in source_indices(cameras, index, bounds)}
+    views: Sequence[ViewDepth], bounds: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
+    return source_indices(tuple(view.camera for view in views), bounds)

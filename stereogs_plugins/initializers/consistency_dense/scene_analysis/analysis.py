@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ..projection import pixel_of, project
+from ..visibility import spread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,7 +98,9 @@ class SceneAnalysis:
     def refutes(self, points: Floats, *, guessed: bool) -> Mask:
         """World points `[P, 3]` in whose place enough views show safe plain background."""
         votes = np.zeros(len(points), dtype=np.intp)
-        for camera, background in zip(self.cameras, self.safe, strict=True):
+        for camera, background in spread([*zip(self.cameras, self.safe, strict=True)]):
+            if not background.any():
+                continue
             u, v, _ = project(camera, points)
             within, row, column = pixel_of(background.shape, u, v)
             votes += within & background[row, column]

@@ -94,7 +94,7 @@ def without_outvoted(
         depths: confirmed depths of each view, 0 elsewhere.
         bounds: (near, far) z-depth of the scene's content, world units.
     """
-    cameras = [view.camera for view in views]
+    sources = source_indices(tuple(view.camera for view in views), bounds)
     evidence = in_parallel(
         lambda index: Evidence.of(views[index], depths[index]), range(len(views))
     )
@@ -103,7 +103,7 @@ def without_outvoted(
         view, depth = views[index], depths[index]
         points = lift(view.camera, *pixel_centers(view.camera), depth)
         balance = np.zeros(depth.shape, dtype=np.intp)
-        for other in source_indices(cameras, index, bounds):
+        for other in sources[index]:
             past, miscolored, confirmed = evidence[other].votes(
                 points, view.image.numpy(), view.camera
             )

@@ -1,0 +1,1 @@
+"""What is published: the distributions in an empty environment, and the tests on other Pythons."""
