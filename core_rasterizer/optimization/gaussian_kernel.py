@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from ..device import Device, DeviceArray, KernelText, Scratch, host_pool
+from ..device import Device, DeviceArray, KernelText, host_pool
 from ..errors import ExplainedError
 from ..layout import padded
 
@@ -41,7 +41,7 @@ _SUM_OF_LANES = """
         real sum = 0;
         for (int l = 0; l < LANES; l++)
             sum += LANE_AT(total_NAME, l);
-        sums[SUMS * get_global_id(0) + PLACE] = sum;
+        results[(size_t)OUTPUTS * capacity + SUMS * get_global_id(0) + PLACE] = sum;
     }
 """
 _SUM_OF_GROUP = """
@@ -53,7 +53,7 @@ _SUM_OF_GROUP = """
             parts[get_local_id(0)] += parts[get_local_id(0) + next];
     }
     if (!get_local_id(0))
-        sums[SUMS * get_group_id(0) + PLACE] = parts[0];
+        results[(size_t)OUTPUTS * capacity + SUMS * get_group_id(0) + PLACE] = parts[0];
 """
 
 
@@ -96,7 +96,6 @@ class GaussianKernel:
         self._parameters, self._gradients = tuple(parameters), tuple(gradients)
         self._outputs, self._sums = tuple(outputs), tuple(sums)
         self._words = frozenset(re.findall(r"\w+", source + helpers))
-        self._scratch: dict[Device, Scratch] = {}
 
     def __call__(
         self, model: GaussianReader, **given: Tensor | float | None
@@ -151,11 +150,9 @@ class GaussianKernel:
             *self._texts, widths, tuple(numbers), there, self._outputs, self._sums, on_cpu
         )
         program = device.program(text, dtype=torch.float32)
-        outputs = {name: _room(device, capacity) for name in self._outputs}
+        values = len(self._outputs) * capacity  # before the sums, so that one read is enough
         with device.lock:
-            scratch = self._scratch.setdefault(device, Scratch(device))
-            wanted = groups * max(1, len(self._sums))
-            sums = scratch.reserve("sums", torch.float32, wanted)
+            results = _room(device, max(1, values + groups * len(self._sums)))
             program.run(
                 "gaussians",
                 (groups * local,),
@@ -163,17 +160,18 @@ class GaussianKernel:
                 **{f"p_{name}": given.array for name, given in rows.items()},
                 **{f"first_{name}": given.first for name, given in rows.items()},
                 **numbers,
-                **{f"o_{name}": array for name, array in outputs.items()},
-                sums=sums,
+                results=results,
                 count=count,
                 capacity=capacity,
                 span=span,
             )
-            found = {name: array.read(0, count) for name, array in outputs.items()}
-            if not self._sums:
-                return found, {}
-            totals = sums.read(0, wanted).reshape(groups, -1).double().sum(dim=0).tolist()
-        return found, dict(zip(self._sums, totals, strict=True))
+            found = results.read()
+        outputs = found[:values].reshape(-1, capacity)[:, :count].unbind()
+        totals = found[values:].reshape(groups, -1).sum(dim=0, dtype=torch.float64).tolist()
+        return (
+            dict(zip(self._outputs, outputs, strict=True)),
+            dict(zip(self._sums, totals, strict=True)) if self._sums else {},
+        )
 
     def _stored(self, model: GaussianReader, name: str, *, gradient: bool) -> _Rows:
         """A parameter or its gradient, on the device if it is there."""
@@ -213,9 +211,9 @@ def _sent(model: GaussianReader, values: Tensor) -> _Rows:
     return _Rows(array, 0, values.shape[1])
 
 
-def _room(device: Device, capacity: int) -> DeviceArray:
-    memory = host_pool.empty((capacity,), torch.float32) if device.shares_memory else None
-    return DeviceArray(device, (capacity,), torch.float32, over=memory)
+def _room(device: Device, elements: int) -> DeviceArray:
+    memory = host_pool.empty((elements,), torch.float32) if device.shares_memory else None
+    return DeviceArray(device, (elements,), torch.float32, over=memory)
 
 
 @lru_cache
@@ -234,8 +232,7 @@ def _kernel(
     arguments = [f"__global const real *p_{title}" for title, _ in rows]
     arguments += [f"int first_{title}" for title, _ in rows]
     arguments += [f"real {title}" for title in numbers]
-    arguments += [f"__global real *o_{title}" for title in outputs]
-    arguments += ["__global real *sums", "int count", "int capacity", "int span"]
+    arguments += ["__global real *results", "int count", "int capacity", "int span"]
     loads = []
     for title, width in rows:
         values = [
@@ -248,7 +245,10 @@ def _kernel(
             else f"const lane {title}[{width}] = {{{', '.join(values)}}};"
         )
     loads += [f"lane {title} = 0;" for title in (*outputs, *sums)]
-    stores = [f"STORE_GLOBAL(o_{title} + i, {title});" for title in outputs]
+    stores = [
+        f"STORE_GLOBAL(results + (size_t){k} * capacity + i, {title});"
+        for k, title in enumerate(outputs)
+    ]
     inside = [
         "if (i + LANES > count)",
         "for (int l = count - i; l < LANES; l++) {",
@@ -267,6 +267,7 @@ def _kernel(
         *(f"#define HAS_{title} {int(is_there)}" for title, is_there in given),
         helpers,
         f"#define GROUP {GROUP}",
+        f"#define OUTPUTS {len(outputs)}",
         f"#define SUMS {len(sums)}",
         f"__kernel void gaussians({', '.join(arguments)})\n{{",
         "" if on_cpu or not sums else "    __local real parts[GROUP];",
