@@ -3,10 +3,8 @@
 from .adam import Adam
 from .edit import Carried, Edit, Relocation
 from .engine import Engine, Model
-from .gaussian_kernel import GaussianKernel
 from .model import GaussianModel, GaussianReader, OpenCLEngine
 from .photometric import photometric_loss
-from .pixel_term import PixelTerm
 from .topology import apply_edit
 
 __all__ = [
@@ -14,12 +12,10 @@ __all__ = [
     "Carried",
     "Edit",
     "Engine",
-    "GaussianKernel",
     "GaussianModel",
     "GaussianReader",
     "Model",
     "OpenCLEngine",
-    "PixelTerm",
     "Relocation",
     "apply_edit",
     "photometric_loss",

@@ -15,7 +15,7 @@ from ..errors import ExplainedError
 from ..layout import padded
 
 if TYPE_CHECKING:
-    from .model import GaussianReader
+    from ..optimization import GaussianReader
 
 GROUP = 256
 """Gaussians per work-group of a GPU."""
