@@ -1,11 +1,14 @@
 """CPU time of the main thread per training iteration, without kernels, waits for them, and networks.
 
-On a GPU this time bounds small trainings. It depends on the machine, so it is also given in multiples of a
-loop of pure Python (`yardsticks.python_milliseconds`).
+    python -m benchmarks.host_time [PIPELINE ...] [--set KEY=VALUE ...]
+
+prints it for the engine alone and for pipelines. On a GPU this time bounds small trainings. It depends on the
+machine, so it is also given in multiples of a loop of pure Python (`yardsticks.python_milliseconds`).
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -16,11 +19,14 @@ import pyopencl as cl
 
 from benchmarks.engine import Workload
 from benchmarks.stage_clock import StageClock
-from core_rasterizer import Device
+from benchmarks.trainings import PIPELINES
+from benchmarks.yardsticks import python_milliseconds
+from core_rasterizer import Device, open_device
 from registry.pipeline.pipeline import Pipeline
 from registry.toolkit.networks import OnnxModel
 from registry.training.trainer import Trainer
-from stereogs.session import train
+from stereogs.experiments.showing.score_table import markdown
+from stereogs.session import build_pipeline, train
 
 ITERATION, LEFT_OUT = "iteration", "waits and networks"
 
@@ -76,3 +82,21 @@ def _wrapped(clock: StageClock, *stages: tuple[Any, str, str]) -> Iterator[None]
             restored.callback(setattr, owner, name, getattr(owner, name))
             clock.wrap(owner, name, stage)
         yield
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pipelines", nargs="*", default=["weightfree_fast", "3dgs_fast"])
+    parser.add_argument("--set", action="append", default=["training.iterations=300"])
+    arguments, device = parser.parse_args(), open_device()
+    found = {"engine alone": engine_host_ms(Workload(10_000, device))}
+    for name in arguments.pipelines:
+        pipeline = build_pipeline(PIPELINES / f"{name}.yaml", arguments.set)
+        found[name] = pipeline_host_ms(pipeline, device)
+    loop = python_milliseconds()
+    rows = [[name, f"{ms:.2f}", f"{ms / loop:.2f}"] for name, ms in found.items()]
+    print(markdown(["host time per iteration", "ms", "loops of Python"], rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from importlib.metadata import Distribution, EntryPoint, entry_points, version
+from importlib.metadata import (
+    Distribution,
+    EntryPoint,
+    PackageNotFoundError,
+    entry_points,
+    version,
+)
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -29,6 +37,8 @@ SELECTION = "STEREOGS_PLUGINS"
 
 SCENE, CONFIDENCE = (p for p in HOOK_POINTS if p.section in ("scene", "confidence"))
 """The hook points of scene loaders and of confidence estimators."""
+OWN_PACKAGE = "stereogs-plugins"
+_log = logging.getLogger(__name__)
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
@@ -42,6 +52,7 @@ class Offer:
         component: its class.
         plugin: the entry point's name.
         distribution, version: the installed package that the entry point belongs to.
+        ambiguous: whether another package offers the name too.
     """
 
     point: HookPoint
@@ -50,6 +61,12 @@ class Offer:
     plugin: str
     distribution: str
     version: str
+    ambiguous: bool = False
+
+    @property
+    def use(self) -> str:
+        """What a pipeline writes after `use:`, NAME or PACKAGE/NAME."""
+        return f"{self.distribution}/{self.name}" if self.ambiguous else self.name
 
     @property
     def settings_type(self) -> type[Settings]:
@@ -81,22 +98,36 @@ class Plugins:
         self._loaded: set[str] = set()
         self._offers: list[Offer] = []
 
-    def find(self, point: HookPoint, name: str) -> Offer:
+    def find(self, point: HookPoint, name: str, preferred: str | None = None) -> Offer:
         """Return the component of that name.
+
+        Args:
+            name: as after `use:`, NAME or PACKAGE/NAME.
+            preferred: the package whose component a bare name means if several offer it.
 
         Raises:
             PluginError: no plugin offers it, its plugin cannot be loaded, or two plugins offer it.
         """
+        package, _, name = name.rpartition("/")
         if point.base is SceneLoader and name == IN_MEMORY:  # of the host, and not listed
-            package = "stereogs-plugins"
-            return Offer(point, name, InMemoryScene, "registry", package, version(package))
+            return Offer(point, name, InMemoryScene, "registry", OWN_PACKAGE, version(OWN_PACKAGE))
         alike = [entry for entry in self.entries if offered_name(entry) == name]
+        if package:
+            owners = [_distribution(entry.dist)[0] for entry in alike]
+            alike = [e for e, owner in zip(alike, owners, strict=True) if _same(owner, package)]
+            if not alike:
+                what = f"the package {package!r} offers no {point.title} {name!r}"
+                fix = "`stereogs plugins --json` lists all components with their packages"
+                offered = f"; installed: {listing(f'{o}/{name}' for o in owners)}" if owners else ""
+                raise PluginError(f"{what}{offered}", fix=fix)
         self._load(alike)
         found = [o for o in self._offers if o.point is point and o.name == name]
-        if len(found) > 1:
+        chosen = [offer for offer in found if _same(offer.distribution, package or preferred)]
+        if len(found) > 1 and len(chosen) != 1:
             raise _conflict(found)
         if found:
-            return found[0]
+            offer = chosen[0] if chosen else found[0]
+            return replace(offer, ambiguous=len(found) > 1 or bool(package))
         for entry in alike:
             if _key(entry) in self.broken:
                 raise self.broken[_key(entry)]
@@ -105,7 +136,9 @@ class Plugins:
     def all(self) -> Sequence[Offer]:
         """Import all plugins and return every component of those that load. See `broken`."""
         self._load(self.entries)
-        return sorted(self._offers, key=lambda offer: (HOOK_POINTS.index(offer.point), offer.name))
+        count = Counter((offer.point.section, offer.name) for offer in self._offers)
+        offers = (replace(o, ambiguous=count[o.point.section, o.name] > 1) for o in self._offers)
+        return sorted(offers, key=lambda offer: (HOOK_POINTS.index(offer.point), offer.name))
 
     def conflicts(self) -> list[PluginError]:
         """Import all plugins and return an error for each name that two offer at one hook point."""
@@ -120,6 +153,7 @@ class Plugins:
                 continue
             who = f"the plugin {key}, while it is imported"
             try:
+                _warn_of_requirements(entry.dist)
                 with WATCHDOG.watching(who), left_as_found(who):
                     module = entry.load()
                     check_api(entry, module)
@@ -271,6 +305,38 @@ def _key(entry: EntryPoint) -> str:
     return f"{entry.name} ({' '.join(_distribution(entry.dist))})"
 
 
+@cache
+def _warn_of_requirements(package: Distribution | None) -> None:
+    """Warn of requirements of another package than this project's that the installed ones do not meet."""
+    if package is None or package.name == OWN_PACKAGE:
+        return
+    from packaging.requirements import Requirement
+
+    unmet = []
+    for required in map(Requirement, package.requires or ()):
+        if required.marker and not required.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            found = version(required.name)
+        except PackageNotFoundError:
+            unmet.append(f"{required}, which is not installed")
+            continue
+        if not required.specifier.contains(found, prereleases=True):
+            unmet.append(f"{required}, but {required.name} {found} is installed")
+    if unmet:
+        who = f"the package {package.name} {package.version}"
+        _log.warning("%s requires %s; `pip check` lists all such packages", who, "; ".join(unmet))
+
+
+def _same(package: str, other: str | None) -> bool:
+    """Whether two names are of one package: case, dots, dashes and underscores do not count."""
+    return other is not None and _normal(package) == _normal(other)
+
+
+def _normal(package: str) -> str:
+    return re.sub(r"[-_.]+", "-", package).lower()
+
+
 def _where(entry: EntryPoint) -> str:
     return f"entry point {GROUP}: {entry.name} = {entry.value}"
 
@@ -293,7 +359,10 @@ def _unusable(entry: EntryPoint, error: BaseException) -> PluginError:
 def _conflict(offers: Sequence[Offer]) -> PluginError:
     first = offers[0]
     owners = " and ".join(f"{o.plugin} ({o.distribution} {o.version})" for o in offers)
+    packages = list(dict.fromkeys(offer.distribution for offer in offers))
     fix = "uninstall one of them"
+    if len(packages) == len(offers):
+        fix = f"write `use: {first.distribution}/{first.name}`, or another package, or {fix}"
     if len({offer.plugin for offer in offers}) == len(offers):
         fix += f", or name the plugins to load in {SELECTION}"
     what = f"the {first.point.title} {first.name!r} is offered twice: by {owners}"
@@ -315,7 +384,9 @@ def recognizing(folder: Path, plugins: Plugins) -> list[Offer]:
 
 
 def recognize(folder: Path, plugins: Plugins) -> Offer:
-    """Return the only scene loader that recognizes a folder by its content, or a file.
+    """Return the scene loader that recognizes a folder by its content, or a file.
+
+    A loader of this project comes before those of other packages, which must be named.
 
     Raises:
         SceneError: the folder does not exist, or no loader or several recognize it.
@@ -327,10 +398,15 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             fix="give a folder of photographs or of a data set, or a pipeline file (.yaml)",
         )
     found = recognizing(folder, plugins)
+    own = [offer for offer in found if offer.distribution == OWN_PACKAGE]
+    if len(own) == 1 < len(found):
+        others = listing(offer.use for offer in found if offer is not own[0])
+        _log.info("%s is also read by %s, with --set scene.use=NAME", folder, others)
+        return own[0]
     if len(found) == 1:
         return found[0]
     if found:
-        names, first = ", ".join(offer.name for offer in found), found[0].name
+        names, first = ", ".join(offer.use for offer in found), found[0].use
         raise SceneError(
             f"the folder may be of several formats: {names}",
             where=str(folder),

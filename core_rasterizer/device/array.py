@@ -77,8 +77,12 @@ class DeviceArray:
         """
         shape, begin, end = self._rows(first, last)
         if self._host is not None:
-            with self._mapped(cl.map_flags.READ):
-                return self._host[begin:end].reshape(shape)
+            mapped, _ = self._enqueue_map(cl.map_flags.READ)
+            try:
+                self.device.finish()
+            finally:
+                mapped.base.release()
+            return self._host[begin:end].reshape(shape)
         result = torch.empty(shape, dtype=self.dtype)
         if result.numel():
             offset = begin * self.dtype.itemsize

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from threading import RLock
 
 import pyopencl as cl
@@ -50,17 +48,28 @@ class Retired:
         if self._enqueued > self._completed:
             self._kept.append(memory)
 
-    @contextmanager
-    def drained(self) -> Iterator[None]:
+    def drained(self) -> _Drained:
         """Wrap a wait for the queue; afterwards release everything retired before it."""
-        enqueued = self._enqueued
-        before, self._kept = self._kept, []
-        try:
-            yield
-        except BaseException:
-            self._kept += before
-            raise
-        self._completed = max(self._completed, enqueued)
+        return _Drained(self)
+
+
+class _Drained:
+    __slots__ = ("_before", "_enqueued", "_retired")
+
+    def __init__(self, retired: Retired) -> None:
+        self._retired = retired
+
+    def __enter__(self) -> None:
+        retired = self._retired
+        self._enqueued, self._before = retired._enqueued, retired._kept
+        retired._kept = []
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        retired = self._retired
+        if error is not None:
+            retired._kept += self._before
+        else:
+            retired._completed = max(retired._completed, self._enqueued)
 
 
 class DeviceMemory:

@@ -21,6 +21,8 @@ class Frame:
         self.pair_limit = 0
         self.visible = 0
         self.pairs = 0
+        self.reserved_for: object = None
+        """What the arrays are large enough for; None: they must be reserved."""
         self._device = device
         self._coverage: weakref.ref[Coverage] | None = None
         self._images: weakref.ref[Images] | None = None
@@ -42,6 +44,7 @@ class Frame:
         """Prepare for reuse: results of the last render that are still referenced keep their arrays."""
         if self._coverage is not None and self._coverage() is not None:
             self.arrays.give_away("slot_count")
+            self.reserved_for = None
         images = None if self._images is None else self._images()
         if images is not None:
             self.arrays.give_away(*images.names)

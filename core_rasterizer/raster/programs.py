@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import torch
 
 from ..device import Device, Program
 from ..errors import ExplainedError
-from .request import Footprint, RenderRequest
+from .request import POSED, Footprint, RenderRequest
 from .tile_lists import TileLists
 
 _PROJECTION = (
@@ -104,23 +105,31 @@ class RasterPrograms:
         if lanes == 1 or dtype == torch.float64:
             unused += ("EXP2_DEGREE",)  # these kernels use the compiler's exponential
         self._raster_macros: dict[str, Any] = {**_without(macros, unused), "LANES": lanes}
+        # A look-up by the sources and macros would take longer than a launch.
+        self._projection, self._step = cache(self._build_projection), cache(self._build_step)
+        self._raster = cache(self._build_raster)
         self.raster()  # build now, so that the first render does not wait
 
     def projection(self, request: RenderRequest) -> Program:
         """The projection kernels for the options of a render."""
-        if not request.features:
-            return self.base
-        return self._device.program(
-            *_PROJECTION,
-            *(("raster/pose",) if request.wants_pose_gradient else ()),
-            _BACKWARD,
-            dtype=self._dtype,
-            **self._projection_macros,
-            **dict.fromkeys(request.features, 1),
-        )
+        features = request.features
+        return self._projection(features) if features else self.base
 
     def step(self, request: RenderRequest) -> Program:
         """The kernel that ends a backward pass with a step of Adam, for the options of a render."""
+        return self._step(request.features)
+
+    def _build_projection(self, features: frozenset[str]) -> Program:
+        return self._device.program(
+            *_PROJECTION,
+            *(("raster/pose",) if POSED in features else ()),
+            _BACKWARD,
+            dtype=self._dtype,
+            **self._projection_macros,
+            **dict.fromkeys(features, 1),
+        )
+
+    def _build_step(self, features: frozenset[str]) -> Program:
         return self._device.program(
             *_PROJECTION[:-2],
             _BACKWARD,
@@ -129,7 +138,7 @@ class RasterPrograms:
             dtype=self._dtype,
             STEP=1,
             **self._projection_macros,
-            **dict.fromkeys(request.features, 1),
+            **dict.fromkeys(features, 1),
         )
 
     def raster(self, *, absolute: bool = False) -> Program:
@@ -138,6 +147,9 @@ class RasterPrograms:
         Args:
             absolute: If True, the backward pass also collects absolute screen gradients.
         """
+        return self._raster(absolute)
+
+    def _build_raster(self, absolute: bool) -> Program:
         return self._device.program(
             "raster/scene",
             "raster/blend",

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
 
+from ..camera import Camera
 from ..device import Device, DeviceArray, Scratch
 from ..layout import COUNTERS, GAUSSIAN, PAIR, PARAMETER_BITS, row_count
 from .block import Block
@@ -76,6 +78,7 @@ class Renderer:
         self._poses = PoseSums(device, self._wide)
         self._scratch = Scratch(device)
         self._frames: list[Frame] = []
+        self._cameras: WeakKeyDictionary[Camera, tuple[object, DeviceArray]] = WeakKeyDictionary()
         self._pair_capacity = PAIRS_AT_FIRST
 
     def forward(self, block: Block, request: RenderRequest) -> tuple[Images, Lease]:
@@ -302,27 +305,44 @@ class Renderer:
         frame.tiles = (-(-camera.width // width), -(-camera.height // height))
         tiles, capacity = frame.tiles[0] * frame.tiles[1], block.capacity
         frame.pair_limit = self.budget.pair_limit(frame, block)
-        reserve = frame.arrays.reserve
-        reserve("records", self.dtype, capacity * GAUSSIAN.size)
-        reserve("slot_start", torch.int32, capacity)
-        reserve("slot_count", torch.int32, capacity)
-        reserve("clamped", torch.uint8, capacity)
-        reserve("tile_starts", torch.int32, tiles + 1)
-        reserve("counters", torch.int64, COUNTERS.size)
-        reserve("transmittance", self.dtype, camera.width * camera.height)
-        reserve("pairs", torch.int32, 2 * self._pair_capacity)
+        key = (capacity, camera.width, camera.height, self._pair_capacity)
+        if frame.reserved_for != key:
+            reserve = frame.arrays.reserve
+            reserve("records", self.dtype, capacity * GAUSSIAN.size)
+            reserve("slot_start", torch.int32, capacity)
+            reserve("slot_count", torch.int32, capacity)
+            reserve("clamped", torch.uint8, capacity)
+            reserve("tile_starts", torch.int32, tiles + 1)
+            reserve("counters", torch.int64, COUNTERS.size)
+            reserve("transmittance", self.dtype, camera.width * camera.height)
+            reserve("pairs", torch.int32, 2 * self._pair_capacity)
+            frame.reserved_for = key
         self._lists.reserve(capacity, tiles)
-        self._send(frame, "camera", self._camera_numbers(request))
+        frame.arrays["camera"] = self._camera_numbers(request)
         if request.is_modified:
             self._send(frame, "modifiers", request.modifier_rows(capacity, self.dtype).flatten())
 
-    def _camera_numbers(self, request: RenderRequest) -> Tensor:
-        """The camera block and, on a device without double, its rounding errors."""
+    def _camera_numbers(self, request: RenderRequest) -> DeviceArray:
+        """The camera block and, on a device without double, its rounding errors; sent once per camera."""
+        camera = request.camera
+        pose = camera.world_to_camera.tolist()  # somebody may have written into it
+        options = (pose, request.near, request.sh_degree, *request.background)
+        known = self._cameras.get(camera)
+        if known is not None and known[0] == options:
+            return known[1]
         exact = request.camera_block()
         values = exact.to(self._wide)
-        return (
-            values if self.device.supports_double else torch.cat((values, (exact - values).float()))
+        if not self.device.supports_double:
+            values = torch.cat((values, (exact - values).float()))
+        # In new memory: kernels of earlier renders may still read the last.
+        shared = self.device.shares_memory
+        array = DeviceArray(
+            self.device, tuple(values.shape), values.dtype, over=values if shared else None
         )
+        if not shared:
+            array.hand_over(values)
+        self._cameras[camera] = options, array
+        return array
 
     def _send(self, frame: Frame, name: str, values: Tensor) -> None:
         """Send values in new memory, without waiting for kernels that read the last render's."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -17,6 +18,8 @@ NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
 DILATION = 0.3
 """Added to the variances of every ellipse (3DGS), square pixels."""
+POSED = "POSED"
+"""Macro of kernels for the gradient of the pose."""
 LARGEST = 1e37
 """REAL_LARGEST of the kernels; larger values are not rendered, larger gradients become 0."""
 
@@ -66,22 +69,22 @@ class RenderRequest:
     smoothing: Tensor | None = None
     """`[N]` standard deviations of the 3D filter, world units, or None."""
 
-    @property
+    @cached_property
     def bands(self) -> int:
         """Last SH band that is read, 0 to 3."""
         return math.ceil(self.sh_degree)
 
-    @property
+    @cached_property
     def wants_pose_gradient(self) -> bool:
         """Whether a backward pass computes the gradient of `camera.world_to_camera`."""
         return self.camera.world_to_camera.requires_grad
 
-    @property
+    @cached_property
     def features(self) -> frozenset[str]:
         """Macros of the projection kernels for options that not every render uses."""
         wanted = {
             "FADED": self.sh_degree != self.bands,
-            "POSED": self.wants_pose_gradient,
+            POSED: self.wants_pose_gradient,
             "SMOOTHED": self.smoothing is not None,
         }
         return frozenset(name for name, is_wanted in wanted.items() if is_wanted)

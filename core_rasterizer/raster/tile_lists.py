@@ -33,6 +33,8 @@ class TileLists(ABC):
         self._device, self._profile = device, device.profile
         self._buckets = 1 << self._profile.digit_bits
         self._scratch = Scratch(device)
+        self._reserved_for = (0, 0)
+        self._bytes_for = ((0, 0), 0)
 
     @property
     def keys(self) -> DeviceArray:
@@ -46,13 +48,18 @@ class TileLists(ABC):
 
     def reserve(self, capacity: int, tiles: int) -> None:
         """Allocate scratch memory for a render's Gaussians and tiles."""
-        for name, (dtype, elements) in self._sizes(capacity, tiles).items():
-            self._scratch.reserve(name, dtype, elements)
+        if self._reserved_for != (capacity, tiles):
+            for name, (dtype, elements) in self._sizes(capacity, tiles).items():
+                self._scratch.reserve(name, dtype, elements)
+            self._reserved_for = capacity, tiles
 
     def bytes_for(self, capacity: int, tiles: int) -> int:
         """Scratch memory of `reserve`."""
-        sizes = self._sizes(capacity, tiles).values()
-        return sum(dtype.itemsize * elements for dtype, elements in sizes)
+        if self._bytes_for[0] != (capacity, tiles):
+            sizes = self._sizes(capacity, tiles).values()
+            needed = sum(dtype.itemsize * elements for dtype, elements in sizes)
+            self._bytes_for = (capacity, tiles), needed
+        return self._bytes_for[1]
 
     @abstractmethod
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:

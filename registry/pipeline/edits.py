@@ -10,6 +10,7 @@ from ..contract.components import SceneLoader
 from ..contract.hook_points import PIPELINE_POINTS
 from ..discovery import Plugins, recognize, recognizing
 from ..messages.suggestions import did_you_mean, listing
+from .ready import packager
 from .settings_check import plain
 from .yaml_source import Node, Place, parse
 
@@ -46,14 +47,16 @@ def _choose_loader(scene: Node, plugins: Plugins) -> None:
     if "use" not in written:
         chosen = recognize(folder, plugins)
     else:
-        current = plugins.find(SECTIONS["scene"], str(plain(written["use"]))).component
+        use = written["use"]
+        owner = packager(use.place.source)
+        current = plugins.find(SECTIONS["scene"], str(plain(use)), owner).component
         if issubclass(current, SceneLoader) and current.recognizes(folder):
             return
         others = recognizing(folder, plugins)
         if len(others) != 1:
             return
         chosen = others[0]
-    scene.content = {"use": Node(chosen.name, path.place), "path": path}
+    scene.content = {"use": Node(chosen.use, path.place), "path": path}
     _log.info("%s is read by the scene loader %s", folder, chosen.name)
 
 
@@ -151,11 +154,16 @@ def component_items(root: Node) -> Iterator[tuple[str, Node]]:
 def item_names(item: Node) -> list[str]:
     """Return the names of a component: its `name` if it has one, and its `use`."""
     if isinstance(item.content, str):
-        return [item.content]
+        return [bare_name(item.content)]
     if not isinstance(item.content, dict):
         return []
     values = (item.content[key].content for key in ("name", "use") if key in item.content)
-    return [value for value in values if isinstance(value, str)]
+    return [bare_name(value) for value in values if isinstance(value, str)]
+
+
+def bare_name(use: str) -> str:
+    """Return the name of a component without its package."""
+    return use.rpartition("/")[2]
 
 
 def expand(item: Node) -> dict[str, Node]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
@@ -152,10 +153,10 @@ class Parts:
 
     def due(self, section: str, iteration: int) -> Iterator[Part]:
         """Return the components that are called in this iteration, in the pipeline's order."""
-        parts = (part for part in self[section] if part.item.host.weight > 0)
-        return (part for part in parts if part.item.schedule.due(iteration))
+        parts = self[section]
+        return (p for p in parts if p.item.host.weight > 0 and p.item.host.due(iteration))
 
-    @property
+    @cached_property
     def priors(self) -> Mapping[str, Prior[Any]]:
         """The priors by name."""
         return {part.item.name: part.component for part in self["priors"]}

@@ -20,11 +20,14 @@ from ..messages.suggestions import did_you_mean, listing
 from ..messages.visible_text import is_plain_name
 from .edits import TOP_LEVEL, apply_overrides, check_section, disable, expand
 from .protocols import AppliedProtocol, apply_protocol
-from .ready import find_pipeline
+from .ready import find_pipeline, packager
 from .schedule import HostSettings, Schedule, in_iterations, with_defaults
 from .settings_check import escape_variables, paths_of, plain, recorded, validate_settings
 from .training_settings import TrainingSettings, iterations_of_a_run, read_training
 from .yaml_source import Node, Place, parse, read, to_yaml
+
+Find = Callable[[HookPoint, str, str | None], Offer]
+"""As `Plugins.find`."""
 
 
 @dataclass(frozen=True)
@@ -301,9 +304,7 @@ def _section(
     return tuple(items.values())
 
 
-def _first_complete(
-    point: HookPoint, node: Node, find: Callable[[HookPoint, str], Offer], iterations: int
-) -> Item | None:
+def _first_complete(point: HookPoint, node: Node, find: Find, iterations: int) -> Item | None:
     """`component_item`; of a prior with `fallbacks`, the first that has its files, or else the last.
 
     A setting from the command line or an ablation selects the prior: a wrong path is then an error.
@@ -342,9 +343,7 @@ def _first_complete(
     return component_item(point, candidates[-1], find, iterations)
 
 
-def component_item(
-    point: HookPoint, node: Node, find: Callable[[HookPoint, str], Offer], iterations: int
-) -> Item | None:
+def component_item(point: HookPoint, node: Node, find: Find, iterations: int) -> Item | None:
     """Return the item of a component as it is written, or None if the component is disabled.
 
     Args:
@@ -370,7 +369,7 @@ def component_item(
     if not host.enabled:
         return None
     try:
-        offer = find(point, host.use)
+        offer = find(point, host.use, packager(place.source))
     except PluginError as error:
         where = f"{place}; {error.where}" if error.where else str(place)
         raise PluginError(error.what, where=where, fix=error.fix) from error
@@ -378,7 +377,8 @@ def component_item(
     host = validate_settings(HostSettings, Node(completed, node.place), label)
     own = Node({k: v for k, v in mapping.items() if k not in names}, node.place)
     settings = validate_settings(offer.settings_type, own, label, names)
-    return Item(host.name or host.use, settings, host, offer, place)
+    host = host.model_copy(update={"use": offer.use})
+    return Item(host.name or offer.name, settings, host, offer, place)
 
 
 def host_defaults(offer: Offer, iterations: int) -> dict[str, Node]:

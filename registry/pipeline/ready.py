@@ -45,6 +45,18 @@ def ready_pipelines() -> Mapping[str, tuple[Path, ...]]:
     return packaged_files(PIPELINES)
 
 
+@cache
+def packager(source: str) -> str | None:
+    """Return the package that provides a ready pipeline or protocol; None for other files and options."""
+    file = Path(source).resolve()
+    for entry in (*entry_points(group=PIPELINES), *entry_points(group=PROTOCOLS)):
+        spec = find_spec(entry.value) if entry.dist and file.suffix in _SUFFIXES else None
+        folders = (spec and spec.submodule_search_locations) or ()
+        if entry.dist and any(Path(folder).resolve() in file.parents for folder in folders):
+            return str(entry.dist.name)
+    return None
+
+
 def only_file(what: str, files: tuple[Path, ...], place: Place, fix: str) -> Path:
     """Return the single file of a name; raise a PipelineError if several packages provide it."""
     if len(files) > 1:

@@ -25,7 +25,7 @@ from core_rasterizer import Device, Engine, ExplainedError
 from registry.toolkit.cache.keys import code_digest
 
 from ..contract.scene import Scene
-from ..discovery import GROUP, Offer
+from ..discovery import GROUP, OWN_PACKAGE, Offer
 from ..errors import RunError
 from ..messages.visible_text import without_credentials
 from ..pipeline.pipeline import Item, Pipeline
@@ -34,7 +34,6 @@ from ..pipeline.settings_check import recorded
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
 _SHOWN = 5
-_OURS = "stereogs-plugins"
 _ENGINE = "stereogs-rasterizer"
 """The distribution of `core_rasterizer`, on which ours depends."""
 _CODE = ", code "
@@ -116,9 +115,12 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
     offers = {item.qualified_name: item.offer for item in pipeline}
     authors = dict.fromkeys(offer.distribution for offer in offers.values())
     required = [
-        text for ours in (_OURS, _ENGINE) for text in requires(ours) or () if "extra ==" not in text
+        text
+        for ours in (OWN_PACKAGE, _ENGINE)
+        for text in requires(ours) or ()
+        if "extra ==" not in text
     ]
-    packages = [_OURS, *(found[0] for text in required if (found := _NAME.match(text)))]
+    packages = [OWN_PACKAGE, *(found[0] for text in required if (found := _NAME.match(text)))]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [without_credentials(word) for word in sys.argv],
@@ -131,7 +133,7 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
         "source": checkout(),
         "packages": {name: _version(name) for name in packages},
         "plugins": {name: package_of(offer) for name, offer in offers.items()},
-        "plugin_sources": {name: package_source(name) for name in authors if name != _OURS},
+        "plugin_sources": {name: package_source(name) for name in authors if name != OWN_PACKAGE},
     }
 
 
@@ -142,7 +144,7 @@ def package_of(offer: Offer) -> str:
 
 def foreign_package(offer: Offer) -> str:
     """`package_of` for components of other packages than ours; "" for ours."""
-    if offer.distribution == _OURS:
+    if offer.distribution == OWN_PACKAGE:
         return ""
     code = code_digest(offer.component, GROUP)[:16]
     return f"{offer.distribution} {offer.version}{_CODE}{code}"
@@ -179,7 +181,9 @@ def refuse_changed_plugins(
 def with_packages(error: ExplainedError, packages: Mapping[str, str]) -> ExplainedError:
     """Add the packages that wrote a run, results of `package_of`, to the fix of an error."""
     used = dict.fromkeys(text.partition(_CODE)[0] for text in packages.values())
-    written = listed(tuple(name for name in used if name.partition(" ")[0] != _OURS) or tuple(used))
+    written = listed(
+        tuple(name for name in used if name.partition(" ")[0] != OWN_PACKAGE) or tuple(used)
+    )
     if written:
         error.fix = f"{error.fix}; the run was written with {written}"
     return error

@@ -111,6 +111,10 @@ class Field:
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
         self._no_gradient: str | None = None
         self._limit_logged = self._edited = self._reset = False
+        self._follow_kinds()
+
+    def _follow_kinds(self) -> None:
+        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
 
     def begin(self, iteration: int, view: TrainingView) -> None:
         """Apply schedules and samplers."""
@@ -121,7 +125,7 @@ class Field:
         sample = Sample(
             view, view.camera, view.image, scene.background, degree, weights=view.weights
         )
-        self.guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
+        self.guard = self._guard
         self._step = Step(
             iteration=iteration,
             iterations=settings.iterations,
@@ -252,6 +256,7 @@ class Field:
             with blame(part.item, iteration):
                 carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
             self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+            self._follow_kinds()
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
             self.parts.carry(carried.source, carried.fresh, count, iteration)
             self._edited = True
@@ -387,3 +392,4 @@ class Field:
         self.parts.restore(part(f"{self.prefix}components"))
         self.parameters.restore(part(f"{self.prefix}parameters"))
         self.kinds = dict(part(f"{self.prefix}kinds"))
+        self._follow_kinds()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from registry.pipeline.yaml_source import Node
 
     from .planning.plan import Plan, PlannedRun
-    from .running.folder import ExperimentFolder
+    from .running.folder import ExperimentFolder, Shard
     from .running.pool import Outcome
     from .showing.scores import Results
 
@@ -42,7 +42,24 @@ def add_arguments(parser: argparse.ArgumentParser, default_folder: str) -> None:
         metavar="N",
         help="simultaneous trainings (default: as many as cores and memory allow; 1 on a GPU)",
     )
+    parser.add_argument(
+        "--shard",
+        type=shard,
+        metavar="I/N",
+        help="train the I-th of N parts of the runs, for example on one of N machines; they may share --out, "
+        "or their `runs` folders are copied into one; without --shard the command then writes the table",
+    )
     add_device(parser)
+
+
+def shard(text: str) -> Shard:
+    """Read I/N, for argparse."""
+    from .running.folder import Shard
+
+    number, _, parts = text.partition("/")
+    if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
+        raise argparse.ArgumentTypeError(f"expected I/N with I from 1 to N, not {text!r}")
+    return Shard(int(number), int(parts))
 
 
 def run_plan(
@@ -71,16 +88,19 @@ def run_plan(
     output, device = console(), open_device(arguments.device)
     part = choose_runner(runner, arguments.jobs, plugins, device)
     folder = ExperimentFolder(arguments.out or Path("runs", f"{plan.kind}-{plan.name}"))
-    with folder.locked() as lock:
+    part_of_runs: Shard | None = arguments.shard
+    mine = plan.runs if part_of_runs is None else part_of_runs.of(plan.runs)
+    with folder.locked(part_of_runs) as lock:
         results = {run: folder.results(run) for run in plan.runs}
-        waiting = [run for run in plan.runs if not results[run]]
+        waiting = [run for run in mine if not results[run]]
         if isinstance(part.component, LocalProcesses):
             peaks = [found.get("peak_memory_mb") or 0.0 for found in results.values() if found]
             part.component.lock, part.component.peaks_mb = lock, peaks
         with part.at_work():
             places = part.component.places
         output.print(
-            f"{plan.size}, {len(plan.runs) - len(waiting)} finished; "
+            f"{plan.size}, {sum(map(bool, results.values()))} finished; "
+            f"{f'{len(waiting)} to train; ' if part_of_runs else ''}"
             f"{'all' if places is None else places} at a time with the runner {part.item.name} "
             f"on {device.name}; writing {folder.path}"
         )

@@ -88,12 +88,12 @@ def pipeline_schema(offers: Iterable[Offer]) -> Schema:
 
 def _section(point: HookPoint, offers: list[Offer], definitions: dict[str, Schema]) -> Schema:
     """One component, a list of them, or either; a bare name, or a mapping that depends on its `use`."""
-    names = [offer.name for offer in offers]
+    names = [offer.use for offer in offers]
     cases = []
     for offer in offers:
-        key = f"{point.section}.{offer.name}"
+        key = f"{point.section}.{offer.use}".replace("/", ".")
         definitions[key] = _settings(point, offer, key, definitions)
-        uses = {"properties": {"use": {"const": offer.name}}, "required": ["use"]}
+        uses = {"properties": {"use": {"const": offer.use}}, "required": ["use"]}
         cases.append({"if": uses, "then": {"$ref": f"#/$defs/{key}"}})
     mapping: Schema = {
         "type": "object",

@@ -186,7 +186,7 @@ def _loader(
     if data := arguments.scene if named else arguments.pipeline:
         scene = {"path": escape_variables(str(data))}
         if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
-            scene["use"] = recognize(data, plugins).name
+            scene["use"] = recognize(data, plugins).use
         overrides = [f"scene={json.dumps(scene, ensure_ascii=False)}", *overrides]
 
     def load(name: str) -> Pipeline:

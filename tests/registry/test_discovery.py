@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.discovery import GROUP, SELECTION, Plugins
-from tests.host import PIPELINE_POINTS, HookPoint
+from registry.discovery import GROUP, SELECTION, Plugins, recognize
+from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
@@ -163,9 +164,93 @@ def test_two_packages_with_one_name_conflict(install: Install) -> None:
     assert "first 1" in error.what
     assert "second 2" in error.what
     assert SELECTION in error.fix
+    assert "write `use: second/twin`, or another package" in error.fix
     assert [str(e) for e in Plugins().conflicts()] == [str(error)]
     install("third", "3", {"twin": "twin_c"}, twin_c=metric("twin"))
     assert SELECTION not in refusal(Plugins(), "twin").fix, "it cannot tell twin from twin"
+
+
+def test_the_package_chooses_between_two_of_one_name(install: Install) -> None:
+    install("first", "1", {"twin": "twin_a"}, twin_a=metric("twin"))
+    install("the_second", "2", {"other.twin": "twin_b"}, twin_b=metric("twin"))
+    plugins = Plugins()
+    for written in ("the_second/twin", "The-Second/twin"):
+        offer = plugins.find(METRICS, written)
+        assert (offer.distribution, offer.use) == ("the_second", "the_second/twin")
+    assert plugins.find(METRICS, "twin", "first").use == "first/twin"
+    assert "offered twice" in refusal(plugins, "twin").what
+    assert {offer.use for offer in plugins.all()} == {"first/twin", "the_second/twin"}
+    error = refusal(plugins, "third/twin")
+    assert "offers no metric 'twin'; installed: the_second/twin, first/twin" in error.what
+    assert "offers no metric 'twice'" in refusal(plugins, "first/twice").what
+
+
+def test_requirements_that_are_not_met_are_named_before_the_import(
+    install: Install, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = install("strict", "1", {"broken": "strict_a"}, strict_a="1/0")
+    metadata = site / "strict-1.dist-info" / "METADATA"
+    lines = ["numpy<1", "numpy>=1", "no-such-thing>=2", "gone; extra == 'more'", "pluggy"]
+    required = "".join(f"Requires-Dist: {line}\n" for line in lines)
+    metadata.write_text(metadata.read_text() + required)
+    refusal(Plugins(), "broken")
+    told = caplog.messages[0]
+    assert told.startswith("the package strict 1 requires numpy<1, but numpy ")
+    assert "no-such-thing>=2, which is not installed" in told
+    assert "pluggy" not in told
+    assert "gone" not in told
+
+
+LOADER = """\
+from pathlib import Path
+import registry
+class Loader(registry.SceneLoader[registry.Settings]):
+    @classmethod
+    def recognizes(cls, folder):
+        return True
+    def load(self):
+        raise AssertionError
+@registry.hookimpl
+def stereogs_register_scenes(register):
+    register("{name}", Loader)
+"""
+
+
+@pytest.mark.parametrize("name", ["greedy", "photos"])
+def test_a_loader_of_another_package_never_outranks_one_of_this_project(
+    install: Install, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
+) -> None:
+    install("greedy", "1", {name: "greedy_a"}, greedy_a=LOADER.format(name=name))
+    assert recognize(tmp_path, Plugins()).distribution == "greedy", "it is the only one"
+    monkeypatch.delenv(SELECTION)
+    for k in range(3):
+        (tmp_path / f"{k}.png").write_bytes(b"")
+    own = recognize(tmp_path, Plugins())
+    assert own.distribution == "stereogs-plugins"
+    assert own.use == ("photos" if name == "greedy" else "stereogs-plugins/photos")
+
+
+def test_ready_pipelines_mean_the_components_of_their_package(
+    install: Install, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("rival", "1", {"psnr": "rival_a"}, rival_a=metric("psnr"))
+    monkeypatch.delenv(SELECTION)
+    plugins, scene = Plugins(), ["scene={use: procedural}"]
+    ready = load_pipeline(Path("3dgs_fast"), plugins, overrides=scene)
+    (psnr,) = (item for item in ready.items["metrics"] if item.name == "psnr")
+    assert psnr.offer.distribution == "stereogs-plugins"
+    again = parse_pipeline(ready.to_yaml(), plugins)
+    assert again.to_yaml() == ready.to_yaml()
+    assert "use: stereogs-plugins/psnr" in ready.to_yaml()
+    with pytest.raises(PluginError, match="offered twice"):
+        load_pipeline(Path("3dgs_fast"), plugins, overrides=[*scene, "metrics=[psnr]"])
+    changed = load_pipeline(
+        Path("3dgs_fast"),
+        plugins,
+        overrides=[*scene, "metrics=[rival/psnr, ssim]"],
+        disabled=["psnr"],
+    )
+    assert [item.name for item in changed.items["metrics"]] == ["ssim"]
 
 
 @pytest.mark.parametrize("first", ["mine", "twin"])

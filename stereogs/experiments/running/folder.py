@@ -3,15 +3,16 @@
 runs/NAME_DIGEST/       a run folder; the digest identifies its pipeline
 runs/NAME_DIGEST.yaml   the pipeline that was trained
 runs/NAME_DIGEST.log    the output of the training
+shards/I_OF_N/          the lock of a process with --shard
 ablation.txt, ablation.tex, ablation.csv, ablation_means.csv, index.html
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from registry import RunError
 from registry.runners import TrainingTask
@@ -21,7 +22,19 @@ from registry.system.lock import locked
 
 from ..planning.plan import PlannedRun
 
-RUNS = "runs"
+RUNS, SHARDS = "runs", "shards"
+Run = TypeVar("Run")
+
+
+class Shard(NamedTuple):
+    """Part `number`, from 1, of `parts` parts of the runs."""
+
+    number: int
+    parts: int
+
+    def of(self, runs: Sequence[Run]) -> Sequence[Run]:
+        """Return every `parts`-th run: neighbours, which take about as long, are in different parts."""
+        return runs[self.number - 1 :: self.parts]
 
 
 class ExperimentFolder:
@@ -59,22 +72,32 @@ class ExperimentFolder:
         return bool(self.results(planned))
 
     @contextmanager
-    def locked(self) -> Iterator[int | None]:
+    def locked(self, shard: Shard | None = None) -> Iterator[int | None]:
         """Lock the folder against other processes; yield a file descriptor for child processes to inherit.
 
+        Processes with different shards may use the folder at the same time, one without a shard only alone.
         If this process is killed, the lock is held until every child has closed the descriptor, so it also
         covers trainings whose parent was killed.
 
         Raises:
             RunError: another process holds the lock, or the folder is not writable.
         """
+        shards = self.path / SHARDS
+        own = self.path if shard is None else shards / f"{shard.number}_of_{shard.parts}"
         try:
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
+            own.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError(
                 f"the folder is not writable: {error.strerror or error}",
                 where=str(self.path),
                 fix="choose another --out",
             ) from error
-        with locked(self.path) as lock:
-            yield lock.descriptor
+        with ExitStack() as held:
+            if shard is None:
+                for other in sorted(shards.glob("*_of_*/")):
+                    held.enter_context(locked(other))
+            else:
+                with locked(self.path):
+                    pass
+            yield held.enter_context(locked(own)).descriptor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from core_rasterizer import Device
 from registry.contract.hook_points import HOOK_POINTS, HookPoint
-from registry.discovery import Offer, Plugins
+from registry.discovery import OWN_PACKAGE, Offer, Plugins
 from registry.errors import PipelineError
 from registry.pipeline.edits import expand
 from registry.pipeline.parts import Part, build_part
@@ -32,6 +33,8 @@ LOCAL = "local"
 """Name of the default runner."""
 RUNNER = next(point for point in HOOK_POINTS if point.section == "runner")
 _POLL_SECONDS = 0.2
+STOP_SECONDS = 8.0
+"""Time after Ctrl-C in which a training may finish its iteration and write a checkpoint."""
 
 
 def choose_runner(
@@ -53,11 +56,10 @@ def choose_runner(
         PluginError: no plugin offers the runner, or it cannot be loaded or built.
     """
 
-    def find(point: HookPoint, name: str) -> Offer:
+    def find(point: HookPoint, name: str, preferred: str | None) -> Offer:
         if name != LOCAL:
-            return plugins.find(point, name)
-        package = "stereogs-plugins"
-        return Offer(point, LOCAL, local, "registry", package, version(package))
+            return plugins.find(point, name, preferred)
+        return Offer(point, LOCAL, local, "registry", OWN_PACKAGE, version(OWN_PACKAGE))
 
     if jobs is not None:
         place = Place(f"--jobs {jobs}")
@@ -109,8 +111,8 @@ def train_all(
 ) -> Outcome[Planned]:
     """Train in order, as many at a time as the runner allows.
 
-    If a training fails, the others are still trained. The first Ctrl-C stops the active ones and waits for
-    them; a second one kills them.
+    If a training fails, the others are still trained. The first Ctrl-C stops the active ones, and kills those
+    that go on for `STOP_SECONDS`; a second one kills them at once.
 
     Args:
         waiting: the unfinished trainings.
@@ -119,15 +121,17 @@ def train_all(
         device: as for `--device`.
     """
     active = _ActiveTasks(runner, keeper, device)
-    queue = deque(waiting)
+    queue, deadline = deque(waiting), math.inf
     outcome, progress = Outcome[Planned](), PoolProgress(len(waiting), console)
     with stop_on_interrupt() as stop, progress.bar:
         try:
             while queue or active.tasks:
                 if stop.requested and not outcome.stopped:
-                    outcome.stopped = True
+                    outcome.stopped, deadline = True, time.monotonic() + STOP_SECONDS
                     queue.clear()
                     active.stop()
+                if time.monotonic() > deadline:
+                    break  # `close` kills them; what they saved before stays
                 while queue and active.has_place:
                     active.start(queue.popleft())
                 for planned, name, failure in active.take_ended():

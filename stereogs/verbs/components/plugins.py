@@ -86,7 +86,7 @@ def _table(offers: Sequence[Offer]) -> Table:
     from .summaries import summary
 
     table = Table.grid(padding=(0, 2))
-    longest = max((len(offer.name) for offer in offers), default=0)
+    longest = max((len(offer.use) for offer in offers), default=0)
     table.add_column(no_wrap=True, min_width=longest + 2)
     table.add_column()
     section = ""
@@ -94,7 +94,7 @@ def _table(offers: Sequence[Offer]) -> Table:
         if offer.point.section != section:
             section = offer.point.section
             table.add_row(section)
-        table.add_row(f"  {offer.name}", summary(offer))
+        table.add_row(f"  {offer.use}", summary(offer))
     return table
 
 

@@ -68,7 +68,7 @@ class Guess:
 
     def to_yaml(self) -> str:
         """Return the section `priors` of a pipeline."""
-        entry = {"use": self.offer.name, **self.settings}
+        entry = {"use": self.offer.use, **self.settings}
         return to_yaml({_PRIORS.section: [escape_variables(entry)]})
 
 
@@ -121,9 +121,9 @@ def attempt(guess: Guess, truth: Truth, device: Device) -> Trial:
     Raises:
         ExplainedError: the prior rejects the settings, or the network fails.
     """
-    written = to_yaml(escape_variables({"use": guess.offer.name, **guess.settings}))
+    written = to_yaml(escape_variables({"use": guess.offer.use, **guess.settings}))
     node = parse(written, "the suggested settings")
-    item = component_item(_PRIORS, node, lambda point, name: guess.offer, iterations=1)
+    item = component_item(_PRIORS, node, lambda *_: guess.offer, iterations=1)
     assert item is not None
     prior = build_part(item, 0, device).component
     begin = time.perf_counter()

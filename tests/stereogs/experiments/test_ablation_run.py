@@ -22,8 +22,8 @@ from registry import RunError
 from registry.runners import TrainingTask
 from stereogs import RunOptions, open_run
 from stereogs.experiments.planning.plan import PlannedRun
-from stereogs.experiments.running import local_processes
-from stereogs.experiments.running.folder import ExperimentFolder
+from stereogs.experiments.running import local_processes, pool
+from stereogs.experiments.running.folder import ExperimentFolder, Shard
 from stereogs.experiments.running.local_processes import LocalProcesses, training_arguments
 from stereogs.experiments.running.pool import PoolProgress, choose_runner, train_all
 from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start_run
@@ -254,6 +254,54 @@ def test_ctrl_c_stops_active_runs_and_starts_no_more(
     assert not (tmp_path / "out" / "runs" / f"{runs[1].name}.log").exists()
     with folder.locked():  # free again
         pass
+
+
+def test_a_training_that_goes_on_after_ctrl_c_is_killed(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def press_once(self: PoolProgress, parts: list[float]) -> None:
+        if not stopped:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(PoolProgress, "show", press_once)
+    monkeypatch.setattr(pool, "STOP_SECONDS", 0.0)
+    monkeypatch.setattr(local_processes.TrainingProcess, "stop", lambda self: stopped.append(self))
+    stopped: list[local_processes.TrainingProcess] = []
+    folder, console = ExperimentFolder(tmp_path / "out"), Console(file=io.StringIO())
+    with folder.locked() as lock:
+        outcome = train_all(
+            toy_runs(toys, tmp_path), folder, local(device, lock), device=None, console=console
+        )
+    assert outcome.stopped
+    assert [process.ended for process in stopped] == [True]
+
+
+def test_shards_use_one_folder_and_the_whole_writes_the_table(
+    device: Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv(SELECTION, "procedural,sfm,dropout,psnr")
+    pipeline, folder = tmp_path / "tiny.yaml", ExperimentFolder(tmp_path / "out")
+    pipeline.write_text(TINY)
+    runs = plan(pipeline, Plugins(), toggles="dropout").runs
+    assert [*Shard(1, 2).of(runs), *Shard(2, 2).of(runs)] == [*runs]
+    command = ["ablate", str(pipeline), "--toggle", "dropout", "--out", str(folder.path)]
+    train_here(runs[1], folder, device)
+    with folder.locked(Shard(1, 2)):
+        assert main([*command, "--shard", "2/2"]) == 0
+        assert "1 finished; 0 to train" in capsys.readouterr().out
+        assert main(command) == 2
+        assert "in use by another process" in capsys.readouterr().err
+    with folder.locked():
+        assert main([*command, "--shard", "2/2"]) == 2
+    train_here(runs[0], folder, device)
+    assert main(command) == 0
+    assert "2 finished; " in capsys.readouterr().out
+    assert len(table(folder.path)) == 2
+    for wrong in ("0/2", "3/2", "1", "a/b"):
+        assert main([*command, "--shard", wrong]) == 2
 
 
 def test_trainings_without_results_have_failed_and_do_not_stop_others(
