@@ -10,6 +10,7 @@ from .first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera import Camera as Camera
+    from .custom import GaussianKernel as GaussianKernel, PixelTerm as PixelTerm
     from .device import Device as Device, list_devices as list_devices, open_device as open_device
     from .errors import (
         CameraError as CameraError,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
         GaussianReader as GaussianReader,
         Model as Model,
         OpenCLEngine as OpenCLEngine,
-        PixelTerm as PixelTerm,
         Relocation as Relocation,
         apply_edit as apply_edit,
         photometric_loss as photometric_loss,

@@ -148,6 +148,7 @@ def scene_from_arrays(
     *,
     bounds: tuple[float, float],
     test: Sequence[int] = (),
+    weights: Sequence[ArrayLike | None] | None = None,
     points: PointCloud | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     name: str = "scene",
@@ -158,22 +159,28 @@ def scene_from_arrays(
         images: each `[H, W, 3]`, uint8, or floating point in [0, 1].
         cameras: one for each image, of its size.
         test: indices of the test views; the others train.
+        weights: one for each image, `[H, W]` in [0, 1], or None: 0 excludes a pixel from training and scores.
         bounds, points, background, name: as in `registry.Scene`.
 
     Raises:
-        SceneError: the numbers of cameras and images differ, an index in `test` does not exist, or the scene
-            is not valid (`registry.validate`).
+        SceneError: the numbers of cameras, weights and images differ, an index in `test` does not exist, or
+            the scene is not valid (`registry.validate`).
     """
     if len(images) != len(cameras):
         what = f"{len(images)} images and {len(cameras)} cameras were given"
         raise SceneError(what, where=name, fix="give one camera for each image")
+    if weights is None:
+        weights = [None] * len(images)
+    if len(images) != len(weights):
+        what = f"{len(images)} images and {len(weights)} weights were given"
+        raise SceneError(what, where=name, fix="give weights, or None, for each image")
     for index in test:
         if not 0 <= index < len(images):
             what = f"test has the index {index}, but there are {len(images)} images"
             raise SceneError(what, where=name, fix="count from 0")
     views = [
-        View(f"view_{index:03d}", camera, _colors(image))
-        for index, (image, camera) in enumerate(zip(images, cameras, strict=True))
+        View(f"view_{index:03d}", camera, _colors(image), weights=_weights(weight))
+        for index, (image, camera, weight) in enumerate(zip(images, cameras, weights, strict=True))
     ]
     train = tuple(view for index, view in enumerate(views) if index not in test)
     tested = tuple(views[index] for index in test)
@@ -188,6 +195,14 @@ def _colors(image: ArrayLike) -> Any:
     array = np.asarray(image)
     scale = 255 if array.dtype == np.uint8 else 1
     return torch.from_numpy((array / np.float32(scale)).astype(np.float32))
+
+
+def _weights(weight: ArrayLike | None) -> Any:
+    """Return `[H, W]` float32, or None."""
+    import numpy as np
+    import torch
+
+    return None if weight is None else torch.from_numpy(np.asarray(weight, np.float32))
 
 
 def train(

@@ -5,7 +5,6 @@ from .edit import Carried, Edit, Relocation
 from .engine import Engine, Model
 from .model import GaussianModel, GaussianReader, OpenCLEngine
 from .photometric import photometric_loss
-from .pixel_term import PixelTerm
 from .topology import apply_edit
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "GaussianReader",
     "Model",
     "OpenCLEngine",
-    "PixelTerm",
     "Relocation",
     "apply_edit",
     "photometric_loss",

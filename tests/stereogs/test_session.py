@@ -172,9 +172,16 @@ def test_a_scene_from_arrays(device: Device) -> None:
         stereogs.Camera.look_at((x, 0, 0), (0, 0, 3), 30.0, 32, 24) for x in (-0.3, 0.0, 0.3)
     ]
     bytes_, floats = np.full((24, 32, 3), 51, np.uint8), np.full((24, 32, 3), 0.2)
+    left = np.arange(32) < 16
+    weights = [None, np.broadcast_to(left, (24, 32)), None]
     scene = stereogs.scene_from_arrays(
-        [bytes_, floats, bytes_], cameras, bounds=(1.0, 5.0), test=[1]
+        [bytes_, floats, bytes_], cameras, bounds=(1.0, 5.0), test=[1], weights=weights
     )
+    assert scene.train[0].weights is None
+    assert scene.test[0].weights is not None
+    assert scene.test[0].weights.sum() == 24 * 16
+    with pytest.raises(SceneError, match="3 images and 1 weights"):
+        stereogs.scene_from_arrays([bytes_] * 3, cameras, bounds=(1.0, 5.0), weights=[None])
     assert [view.name for view in scene.train] == ["view_000", "view_002"]
     assert [view.name for view in scene.test] == ["view_001"]
     assert torch.allclose(scene.train[0].image, scene.test[0].image)
