@@ -15,7 +15,7 @@ RELEASE := $(if $(TORCH_INDEX),PIP_EXTRA_INDEX_URL=$(TORCH_INDEX)) $(BIN)/python
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
 	package pythons runtimes races stress kills fuzz sick mutants lint types check docs site flight viewer-bundle \
 	methods parts results curve profile gpu \
-	bench-engine bench-error bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
+	bench-engine bench-error bench-growth bench-skips bench-left-out bench-next bench-photos bench-priors bench-confidence clean help
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

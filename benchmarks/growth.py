@@ -2,8 +2,8 @@
 
 Trains `weightfree_fast` for 30 iterations on the procedural room (96x72) as the command line does, each
 number of views in a new process without the cache of prior answers. What is measured is recorded at once;
-`--views` measures some numbers again. With `--write-docs` table and picture in `docs/run_time.md` are
-rewritten.
+`--views` measures some numbers again. With `--write-docs` the table and the picture in `docs/run_time.md`
+are rewritten.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stereogs.experiments.showing.score_table import markdown
 
 ROOT = Path(__file__).parent.parent
 TARGET, RECORD = "bench-growth", RECORDS / "growth.json"
-PAGE, PICTURE = pages.DOCS / "run_time.md", pages.DOCS / "images" / "growth.png"
+PICTURE = pages.DOCS / "images" / "growth.png"
 VIEWS = (3, 12, 24, 50, 100, 200, 300)
 BETWEEN = (50, 300)
 """Numbers of views between which the exponent is taken."""
@@ -114,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_json(RECORD, record)
     print(table(record))
     if options.write_docs:
-        pages.rewrite(PAGE, pages.marks(TARGET), table(record) + "\n")
+        pages.write_tables(
+            "growth", "CPU seconds and memory with 3 to 300 views", TARGET, table(record)
+        )
         draw(record, PICTURE)
     return 0
 

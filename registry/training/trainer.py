@@ -167,25 +167,24 @@ class ViewOrder:
     def __init__(self, count: int, seed: int) -> None:
         self._count = count
         self._generator = torch.Generator().manual_seed(seed)
-        self._left = torch.empty(0, dtype=torch.int64)
+        self._left: list[int] = []
 
     def next(self) -> int:
         """Return the index of the next view."""
-        if not len(self._left):
-            self._left = torch.randperm(self._count, generator=self._generator)
-        index, self._left = int(self._left[0]), self._left[1:]
-        return index
+        if not self._left:
+            self._left = torch.randperm(self._count, generator=self._generator).tolist()
+        return self._left.pop(0)
 
     def state(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint."""
-        return {"generator": self._generator.get_state(), "left": self._left.clone()}
+        left = torch.tensor(self._left, dtype=torch.int64)
+        return {"generator": self._generator.get_state(), "left": left}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """Restore the result of `state`; refuse views that do not exist."""
-        left = state["left"].clone()
-        numbers = left.tolist()
-        if left.ndim != 1 or not set(numbers) <= set(range(self._count)):
-            raise RunError(f"the remaining views, {numbers}, are not among the {self._count} views")
+        left = state["left"].tolist()
+        if state["left"].ndim != 1 or not set(left) <= set(range(self._count)):
+            raise RunError(f"the remaining views, {left}, are not among the {self._count} views")
         self._generator.set_state(state["generator"])
         self._left = left
 

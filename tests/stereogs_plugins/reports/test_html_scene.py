@@ -54,6 +54,12 @@ def test_parallel_axes_give_the_depth_of_what_is_in_front() -> None:
     assert found == pytest.approx([5.3, 5.3, 5.3], abs=0.5), "the side that is seen"
 
 
+def test_part_of_the_gaussians_gives_many_cameras_the_same_distance() -> None:
+    camera = looking_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    few, many = (reaches(ball((0, 0, 6), 1.0), [camera] * count) for count in (24, 49))
+    assert many == pytest.approx([few[0]] * 49, rel=0.05)
+
+
 def test_a_camera_that_sees_nothing_has_a_distance_too() -> None:
     assert reaches(ball((0, 0, 6), 1.0), [looking_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))])[0] > 0
 

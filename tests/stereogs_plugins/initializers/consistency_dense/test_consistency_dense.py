@@ -96,6 +96,11 @@ def test_the_cap_is_kept_and_one_seed_gives_one_choice(scene: Scene) -> None:
     assert not torch.equal(first.positions, other.positions)
 
 
+@pytest.mark.parametrize(("views", "kept"), [(3, 1000), (48, 1000), (96, 2000), (300, 5000)])
+def test_more_than_48_views_keep_more_points(views: int, kept: int) -> None:
+    assert len(build(ConsistencyDense, 1, max_points=1000)._chosen(5000, views)) == kept
+
+
 def test_one_view_and_too_few_views_are_explained(scene: Scene) -> None:
     with pytest.raises(SceneError, match="one training view") as caught:
         dense(replace(scene, train=scene.train[:1]))

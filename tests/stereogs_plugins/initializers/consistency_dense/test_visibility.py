@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stereogs_plugins.initializers.consistency_dense.visibility import (
     MAX_SOURCES,
@@ -8,6 +9,7 @@ from stereogs_plugins.initializers.consistency_dense.visibility import (
     on_surface,
     onto_known_depth,
     source_indices,
+    spread,
     visible,
 )
 from tests.stereogs_plugins.initializers.depth_scenes import camera_at
@@ -44,6 +46,11 @@ def test_one_view_of_several_is_enough() -> None:
     unknown = np.zeros_like(WALL)
     assert in_free_space(POINTS, [(CAMERA, unknown), (CAMERA, WALL)])[0]
     assert not in_free_space(POINTS, []).any()
+
+
+@pytest.mark.parametrize(("count", "step"), [(3, 1), (48, 1), (49, 2), (300, 7)])
+def test_tests_of_all_points_look_into_at_most_48_views(count: int, step: int) -> None:
+    assert spread(range(count)) == range(0, count, step)
 
 
 def test_few_views_are_all_source_views() -> None:
