@@ -36,6 +36,7 @@ _HASH_SETTING = "sha256"
 _SHOWN = 5
 _ENGINE = "stereogs-rasterizer"
 """The distribution of `core_rasterizer`, on which ours depends."""
+_MISSING = "not installed"
 _CODE = ", code "
 _NAME = re.compile(r"[A-Za-z0-9._-]+")
 _ROOT = Path(__file__).parents[2]
@@ -114,13 +115,7 @@ def circumstances(pipeline: Pipeline, engine: Engine) -> dict[str, Any]:
     """Return the current software, machine and command line, as JSON values."""
     offers = {item.qualified_name: item.offer for item in pipeline}
     authors = dict.fromkeys(offer.distribution for offer in offers.values())
-    required = [
-        text
-        for ours in (OWN_PACKAGE, _ENGINE)
-        for text in requires(ours) or ()
-        if "extra ==" not in text
-    ]
-    packages = [OWN_PACKAGE, *(found[0] for text in required if (found := _NAME.match(text)))]
+    packages = [OWN_PACKAGE, *(name for ours in (OWN_PACKAGE, _ENGINE) for name in _required(ours))]
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [without_credentials(word) for word in sys.argv],
@@ -195,11 +190,18 @@ def describe_device(device: Device) -> dict[str, str]:
     return facts | ({"built_for": device.built_for} if device.built_for else {})
 
 
+def _required(package: str) -> list[str]:
+    """Return the names of what a package requires here, without extras and what is for other systems only."""
+    texts = [text for text in requires(package) or () if "extra ==" not in text]
+    names = [(found[0], ";" in text) for text in texts if (found := _NAME.match(text))]
+    return [name for name, marked in names if not marked or _version(name) != _MISSING]
+
+
 def _version(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:
-        return "not installed"
+        return _MISSING
 
 
 def checkout(root: Path = _ROOT) -> dict[str, Any] | None:
