@@ -34,6 +34,7 @@ class DeviceArray:
         shape: of the array; dimensions may be zero.
         dtype: float32, float64, int32, int64, uint8 or uint16.
         over: CPU tensor to wrap instead of allocating; only where memory is shared.
+        zeroed: whether it begins with zeros; otherwise the caller writes all elements.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class DeviceArray:
         dtype: torch.dtype = torch.float32,
         *,
         over: Tensor | None = None,
+        zeroed: bool = True,
     ) -> None:
         self.device = device
         self.shape = shape
@@ -50,8 +52,22 @@ class DeviceArray:
         # OpenCL has no empty buffers.
         elements = max(1, math.prod(shape))
         self.buffer, self._host = device.allocate(elements, dtype, over)
-        if self._host is None:
+        if self._host is None and zeroed:
             self.fill(0)
+
+    @classmethod
+    def holding(cls, device: DeviceMemory, values: Tensor) -> DeviceArray:
+        """Return an array of these values, without waiting for the device.
+
+        Args:
+            values: contiguous CPU tensor; the caller must not write to it again.
+        """
+        shared = device.shares_memory
+        over = values if shared else None
+        array = cls(device, tuple(values.shape), values.dtype, over=over, zeroed=False)
+        if not shared:
+            array.hand_over(values)
+        return array
 
     def __del__(self) -> None:
         host: Tensor | None = getattr(self, "_host", None)

@@ -335,12 +335,7 @@ class Renderer:
         if not self.device.supports_double:
             values = torch.cat((values, (exact - values).float()))
         # In new memory: kernels of earlier renders may still read the last.
-        shared = self.device.shares_memory
-        array = DeviceArray(
-            self.device, tuple(values.shape), values.dtype, over=values if shared else None
-        )
-        if not shared:
-            array.hand_over(values)
+        array = DeviceArray.holding(self.device, values)
         self._cameras[camera] = options, array
         return array
 
