@@ -4,6 +4,10 @@ import os
 
 import pytest
 import torch
+from hypothesis import settings
+
+settings.register_profile("no deadline", deadline=None)  # the machine may be busy
+settings.load_profile("no deadline")
 
 # As the command line does: torch's own threads would wait in a spin beside the OpenCL device's.
 torch.set_num_threads(1)

@@ -49,7 +49,7 @@ def test_sums_equal_the_twins(
     assert np.array_equal(summed(device.as_discrete(), costs, grey, penalties), expected)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     height=st.integers(1, 12),
     width=st.integers(1, 20),

@@ -116,7 +116,6 @@ def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:
 
 stress = settings(
     max_examples=SCENES // 3,
-    deadline=None,
     database=None,
     derandomize=SCENES == IN_THE_SUITE,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],

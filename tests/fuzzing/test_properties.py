@@ -36,7 +36,6 @@ from tests.registry.conftest import TOYS
 
 quick = settings(
     max_examples=40,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 NUMBERS = st.one_of(st.integers(), st.floats(), st.booleans(), st.none())

@@ -92,9 +92,9 @@ def test_the_thread_of_the_host_is_not_attributed_to_the_component() -> None:
 
 def test_check_returns_the_cost() -> None:
     cost = check(Slow)
-    assert 0.05 < cost.seconds < 5
+    assert 0.05 < cost.seconds < 60
     assert cost.megabytes is None or cost.megabytes > 50
-    assert str(cost).startswith("0.")
+    assert str(cost).startswith(f"{cost.seconds:.3f} s")
 
 
 class Forgetful(toys.ToyTerm):
