@@ -175,7 +175,7 @@ class GaussianKernel:
 
     def _stored(self, model: GaussianReader, name: str, *, gradient: bool) -> _Rows:
         """A parameter or its gradient, on the device if it is there."""
-        there = model.device_rows(name, gradient=gradient)
+        there = model._device_rows(name, gradient=gradient)
         if there is None:
             return _sent(model, model.gradient(name) if gradient else model.read(name))
         array, first, last = there

@@ -283,8 +283,8 @@ class GaussianReader:
         """
         return self._model.gradient(name).clone()
 
-    def device_rows(self, name: str, *, gradient: bool) -> tuple[DeviceArray, int, int] | None:
-        """For `GaussianKernel`: `GaussianModel.device_rows`; None with another engine."""
+    def _device_rows(self, name: str, *, gradient: bool) -> tuple[DeviceArray, int, int] | None:
+        """`GaussianModel.device_rows`, for `GaussianKernel`, which only reads; None with another engine."""
         model = self._model
         if not isinstance(model, GaussianModel):
             return None

@@ -16,6 +16,8 @@ from .yaml_source import Node, parse
 
 VIEWS = 3
 """Number of training views of a pipeline with iterations per view, until its scene is loaded."""
+FULL_VIEWS = 24
+"""Number of training views up to which the `max_gaussians` of such a pipeline holds."""
 PER_VIEW = re.compile(r"([1-9][0-9]{0,6}) per view")
 """Iterations per view, as a pipeline writes them."""
 
@@ -90,10 +92,8 @@ class TrainingSettings(Settings):
     """Fields of Gaussians trained in lock-step from the same points, each with its own optimizer, policies
     and random numbers; losses and policies see the other fields. The first field is scored."""
     max_gaussians: Positive | None = None
-    """Densification adds no Gaussians beyond this number; initial ones may be more. Null: no limit."""
-    max_gaussians_views: Positive | None = None
-    """With iterations per view: number of training views up to which `max_gaussians` holds. With more views,
-    it is higher in proportion. Null: it does not depend on the views."""
+    """Densification adds no Gaussians beyond this number; initial ones may be more. Null: no limit. With
+    iterations per view it grows in proportion above 24 training views."""
     checkpoint_every: Count = 0
     """Iterations between checkpoints, besides those at the start, at the end and at intervals of time;
     0 for none."""
@@ -104,10 +104,8 @@ class TrainingSettings(Settings):
     def for_views(self, views: int) -> Self:
         """Return the settings with the learning rates and the limit of Gaussians for a number of views."""
         changes: dict[str, Any] = {"learning_rates": self.learning_rates.for_views(views)}
-        if self.max_gaussians is not None and self.max_gaussians_views is not None:
-            full = self.max_gaussians_views
-            most = self.max_gaussians * max(views, full) // full
-            changes |= {"max_gaussians": most, "max_gaussians_views": None}
+        if self.max_gaussians is not None:
+            changes["max_gaussians"] = self.max_gaussians * max(views, FULL_VIEWS) // FULL_VIEWS
         return self.model_copy(update=changes)
 
     def scaled(self, iterations: int) -> Self:
