@@ -11,6 +11,7 @@ from benchmarks import gpu, pages
 from core_rasterizer import open_device
 
 
+@pytest.mark.proof
 def test_without_a_gpu_everything_runs_at_a_tiny_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
