@@ -17,13 +17,20 @@ from registry.testing import check
 from registry.toolkit.drawing import turned
 from registry.toolkit.photos import Decoder, LoadedPhotos
 from stereogs_plugins.scenes.llff import LLFFScene
-from stereogs_plugins.scenes.photos import PhotosScene, VideoScene, stereogs_register_scenes
+from stereogs_plugins.scenes.photos import (
+    PhotosScene,
+    VideoScene,
+    stereogs_register_scenes,
+    unposed_photos,
+)
+from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.loader import PhotosSettings, _turned_upright
 from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
-from stereogs_plugins.scenes.photos.unposed_photos import read_folder
+from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.scenes.photos.photographs import (
+    COUNT,
     SIDEWAYS,
     load,
     pose_errors,
@@ -59,6 +66,27 @@ def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, entry
     shrink = torch.nn.AdaptiveAvgPool2d((6, 8))
     small = [shrink(v.image.permute(2, 0, 1)) for v in (view, room.train[SIDEWAYS])]
     assert float((small[0] - small[1]).abs().mean()) < 0.03
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_focal_lengths_in_exif_that_do_not_fit_are_named(
+    folder: Path,
+    entry: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    ignored: bool,
+) -> None:
+    def find(self: PhotosScene, photos: list[UnposedPhoto]) -> FoundCameras:
+        found = original(self, photos)
+        return found._replace(reconstruction=replace(found.reconstruction, ignores_exif=ignored))
+
+    original, files = PhotosScene._find_cameras, read_folder(folder)
+    photos = [replace(photo, focal=3.0) for photo in files.photos]
+    monkeypatch.setattr(unposed_photos, "read_folder", lambda _: files._replace(photos=photos))
+    monkeypatch.setattr(PhotosScene, "_find_cameras", find)
+    scene = load(folder)
+    assert scene.fact("focal_lengths_by_exif") == (0 if ignored else COUNT)
+    assert ("the focal lengths in EXIF are ignored" in caplog.text) == ignored
 
 
 def test_all_photographs_train_unless_some_are_held_out(
