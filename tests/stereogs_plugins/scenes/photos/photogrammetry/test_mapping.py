@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import read_model
 from stereogs_plugins.scenes.photos.photogrammetry.dense.refinement import Refined
 from stereogs_plugins.scenes.photos.photogrammetry.focal_lengths import is_plausible
-from stereogs_plugins.scenes.photos.photogrammetry.mapping import Piece
+from stereogs_plugins.scenes.photos.photogrammetry.mapping import Piece, _attempts
 from stereogs_plugins.scenes.photos.unposed_photos import read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.scenes.photos.photographs import reconstruct
@@ -28,6 +29,15 @@ def place(scene: str, numbers: tuple[int, ...], folder: Path, cropped: int | Non
     found = reconstruct(read_folder(folder / "in").photos, folder / "out")
     assert found.tried == ("SIFT",)
     return found.pieces[0]
+
+
+@pytest.mark.parametrize("total", [2, 5])
+def test_attempts_with_a_fixed_lens_say_so(total: int) -> None:
+    for attempt in _attempts(total):
+        fixed = attempt.name.startswith("fixed_lens")
+        assert attempt.fixed_lens == fixed
+        if isinstance(attempt.run, partial):
+            assert attempt.run.args[1] == fixed
 
 
 def test_forward_facing_pictures_are_placed(
