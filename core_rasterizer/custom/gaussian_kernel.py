@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from ..device import Device, DeviceArray, KernelText, host_pool
+from ..device import DeviceArray, KernelText
 from ..errors import ExplainedError
 from ..layout import padded
 
@@ -120,11 +120,14 @@ class GaussianKernel:
             rows[f"d_{name}"] = self._stored(model, name, gradient=True)
         for name, value in given.items():
             if not self._words & {name, f"HAS_{name}"}:
-                raise self._refused(f"the source does not name the input {name!r}")
+                what = f"the source does not name the input {name!r}"
+                raise self._refused(what, "correct the name, or leave the input out")
             if isinstance(value, Tensor):
                 if value.ndim not in (1, 2) or len(value) != model.count:
+                    shape, count = tuple(value.shape), model.count
                     raise self._refused(
-                        f"the input {name!r} is {tuple(value.shape)}; there are {model.count} Gaussians"
+                        f"the input {name!r} is {shape}; there are {count} Gaussians",
+                        f"pass [{count}] or [{count}, C]",
                     )
                 rows[name] = _sent(model, value)
             elif value is not None:
@@ -152,7 +155,8 @@ class GaussianKernel:
         program = device.program(text, dtype=torch.float32)
         values = len(self._outputs) * capacity  # before the sums, so that one read is enough
         with device.lock:
-            results = _room(device, max(1, values + groups * len(self._sums)))
+            elements = max(1, values + groups * len(self._sums))
+            results = DeviceArray.for_results(device, elements, torch.float32)
             program.run(
                 "gaussians",
                 (groups * local,),
@@ -181,8 +185,8 @@ class GaussianKernel:
         array, first, last = there
         return _Rows(array, first, last - first)
 
-    def _refused(self, what: str) -> ExplainedError:
-        return ExplainedError(what, where=f"call of the GaussianKernel {self._name!r}")
+    def _refused(self, what: str, fix: str) -> ExplainedError:
+        return ExplainedError(what, where=f"call of the GaussianKernel {self._name!r}", fix=fix)
 
 
 class _Rows(NamedTuple):
@@ -200,20 +204,7 @@ def _sent(model: GaussianReader, values: Tensor) -> _Rows:
     rows[:, model.count :] = 0
     # torch takes twenty times as long as numpy to copy a transposed array.
     rows.numpy()[:, : model.count] = values.numpy().T
-    array = DeviceArray(
-        model.device,
-        tuple(rows.shape),
-        torch.float32,
-        over=rows if model.device.shares_memory else None,
-    )
-    if not model.device.shares_memory:
-        array.write(rows)
-    return _Rows(array, 0, values.shape[1])
-
-
-def _room(device: Device, elements: int) -> DeviceArray:
-    memory = host_pool.empty((elements,), torch.float32) if device.shares_memory else None
-    return DeviceArray(device, (elements,), torch.float32, over=memory)
+    return _Rows(DeviceArray.holding(model.device, rows), 0, values.shape[1])
 
 
 @lru_cache

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, Scratch, host_pool, open_device
+from ..device import Device, DeviceArray, Scratch, open_device
 from ..errors import ExplainedError
 from ..raster import CHANNELS, Kept, Outputs, refuse_undefined
 from ..rendering import Rendering
@@ -33,7 +33,8 @@ class PixelTerm:
 
     They add the pixel's share to `loss`, and add to `d_name[...]`, the gradient by the input `name`, which
     has its layout and begins at 0. `real` is the type of numbers; `continue` ends a pixel. Pixels run in
-    parallel, so each writes gradients of its own pixel only, including those of its neighbours' shares.
+    parallel, so each may write only the gradient of its own values. If the share of a neighbour depends on
+    them too, compute that part here.
 
     Sums have a fixed order: equal inputs give equal bits on a device.
 
@@ -55,13 +56,9 @@ class PixelTerm:
         in_rows: bool = False,
         name: str = "term",
     ) -> None:
-        self._texts, self.gradients, self._in_rows = (
-            (source, helpers, name),
-            tuple(gradients),
-            in_rows,
-        )
-        self._name, words = name, re.findall(r"\w+", source + helpers)
-        self._words = frozenset((*words, *gradients))
+        self._texts, self._name = (source, helpers, name), name
+        self.gradients, self._in_rows = tuple(gradients), in_rows
+        self._words = frozenset((*re.findall(r"\w+", source + helpers), *gradients))
         self._scratch: dict[Device, Scratch] = {}
 
     def __call__(self, *, device: Device | None = None, **given: Input) -> Tensor:
@@ -79,7 +76,8 @@ class PixelTerm:
         """
         for name in given:
             if not self._words & {name, f"HAS_{name}", *(f"{name}_{image}" for image in CHANNELS)}:
-                raise self._refused(f"the source does not name the input {name!r}")
+                what = f"the source does not name the input {name!r}"
+                raise self._refused(what, "correct the name, or leave the input out")
         inputs = self._inputs(given, device)
         leaves = dict[str, Tensor]()
         for name in self.gradients:
@@ -115,12 +113,8 @@ class PixelTerm:
     def _inputs(self, given: Mapping[str, Input], device: Device | None) -> _Inputs:
         """Check the inputs, and send those that are not on the device."""
         outputs = [r.device_outputs for r in given.values() if isinstance(r, Rendering)]
-        ours = [
-            one.images
-            for one in outputs
-            if one is not None and not one.images.fits(len(self.gradients))
-        ]
-        device = ours[0].device if ours else device or open_device()
+        there = [one.images.device for one in outputs if one is not None]
+        device = there[0] if there else device or open_device()
         sources, numbers = dict[str, Tensor | _OnDevice](), dict[str, float]()
         for name, value in given.items():
             if isinstance(value, Rendering):
@@ -130,12 +124,14 @@ class PixelTerm:
             elif isinstance(value, int | float):
                 numbers[name] = value
             elif value is not None:
-                raise self._refused(f"the input {name!r} is a {type(value).__name__}")
+                what = f"the input {name!r} is a {type(value).__name__}"
+                raise self._refused(what, "pass a Rendering, a torch.Tensor, a number or None")
         for name in self.gradients:
             if name not in sources:
-                raise self._refused(f"no image {name!r} is given, of which it has a gradient")
+                what = f"no image {name!r} is given, of which it has a gradient"
+                raise self._refused(what, "pass it, or take it out of `gradients`")
         if not sources:
-            raise self._refused("no image is given")
+            raise self._refused("no image is given", "pass at least one, which has the size")
         size, dtype = self._size_and_type(sources)
         values, kinds = dict[str, DeviceArray | float](numbers), list[tuple[str, str]]()
         for name, source in sources.items():
@@ -147,8 +143,8 @@ class PixelTerm:
                 values[name] = source.outputs.images[source.image]
                 kinds.append((name, "image"))
         kinds += [(name, "int" if isinstance(n, int) else "real") for name, n in numbers.items()]
-        there = tuple((name, value is not None) for name, value in given.items())
-        return _Inputs(device, dtype, size, sources, values, tuple(kinds), there)
+        known = tuple((name, value is not None) for name, value in given.items())
+        return _Inputs(device, dtype, size, sources, values, tuple(kinds), known)
 
     def _images_of(
         self, name: str, rendering: Rendering, device: Device
@@ -168,7 +164,7 @@ class PixelTerm:
     def _size_and_type(
         self, sources: Mapping[str, Tensor | _OnDevice]
     ) -> tuple[tuple[int, int], torch.dtype]:
-        """Height and width of all images, and the type of the first that is no mask.
+        """Height and width of all images, and the type of the first image that is not a mask.
 
         Raises:
             ExplainedError: the sizes differ, or a type is not floating point or bool.
@@ -187,12 +183,15 @@ class PixelTerm:
                 )
             size = size or (shape[0], shape[1])
             if shape[:2] != size:
-                raise self._refused(f"the input {name!r} has the size {shape[:2]}, others {size}")
+                what = f"the input {name!r} has the size {shape[:2]}, others {size}"
+                raise self._refused(
+                    what, "resize it, for example with registry.toolkit.images.at_size"
+                )
             dtype = dtype or (None if mask else source.dtype)
         assert size is not None
         return size, dtype or torch.float32
 
-    def _refused(self, what: str, fix: str = "") -> ExplainedError:
+    def _refused(self, what: str, fix: str) -> ExplainedError:
         return ExplainedError(what, where=f"call of the PixelTerm {self._name!r}", fix=fix)
 
 
@@ -228,9 +227,7 @@ class _Inputs(NamedTuple):
 
     def room(self, name: str) -> DeviceArray:
         """A new array for the gradient of an image."""
-        shape = (math.prod(self.sources[name].shape),)
-        memory = host_pool.empty(shape, self.dtype) if self.device.shares_memory else None
-        return DeviceArray(self.device, shape, self.dtype, over=memory)
+        return DeviceArray.for_results(self.device, math.prod(self.sources[name].shape), self.dtype)
 
 
 class _Evaluate(torch.autograd.Function):

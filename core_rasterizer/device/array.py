@@ -12,6 +12,7 @@ import pyopencl as cl
 import torch
 from torch import Tensor
 
+from .host_pool import host_pool
 from .memory import DeviceMemory
 
 _NUMPY_TYPES = {
@@ -68,6 +69,12 @@ class DeviceArray:
         if not shared:
             array.hand_over(values)
         return array
+
+    @classmethod
+    def for_results(cls, device: DeviceMemory, elements: int, dtype: torch.dtype) -> DeviceArray:
+        """Return an array that a kernel fills; where memory is shared, in memory that is used again."""
+        over = host_pool.empty((elements,), dtype) if device.shares_memory else None
+        return cls(device, (elements,), dtype, over=over, zeroed=False)
 
     def __del__(self) -> None:
         host: Tensor | None = getattr(self, "_host", None)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..device import Device, DeviceArray, Scratch, host_pool
+from ..device import Device, DeviceArray, Scratch
 from ..errors import ExplainedError
 from ..gaussians import undefined_places
 
@@ -171,13 +171,12 @@ class Images:
 
     def _room(self, name: str, image: str) -> DeviceArray:
         """An array in the shape of an image, as the frame's array `name`."""
-        arrays, shape = self._frame_arrays, self._shape(image)
+        arrays, elements = self._frame_arrays, math.prod(self._shape(image))
         self.names.append(name)
         if not self.device.shares_memory:
-            return arrays.reserve(name, self.dtype, math.prod(shape))
+            return arrays.reserve(name, self.dtype, elements)
         # Tensors that share this memory may outlive the frame, so it cannot be reused.
-        memory = host_pool.empty(shape, self.dtype)
-        arrays[name] = DeviceArray(self.device, (memory.numel(),), self.dtype, over=memory)
+        arrays[name] = DeviceArray.for_results(self.device, elements, self.dtype)
         return arrays[name]
 
 

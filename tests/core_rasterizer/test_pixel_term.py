@@ -103,6 +103,17 @@ def test_terms_agree_with_torch_and_repeat_their_bits(
         torch.testing.assert_close(one, reference, rtol=1e-9, atol=1e-12)
 
 
+def test_a_term_runs_on_the_device_of_the_render(
+    model: GaussianModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not on the one that would be chosen, to which the images would be copied."""
+    chosen = "core_rasterizer.custom.pixel_term.open_device"
+    monkeypatch.setattr(chosen, lambda: pytest.fail("another device"))
+    view = rendered(model)
+    SLOPE(view=view).backward()
+    assert not view.fetched, "no image was read"
+
+
 def test_tensors_take_part_like_renders(device: Device) -> None:
     images = [noise(5, 7, *rest, seed=9).requires_grad_() for rest in ((3,), ())]
     target = noise(5, 7, 3)
