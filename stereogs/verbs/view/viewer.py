@@ -188,7 +188,7 @@ class Viewer:
         if self._reach is not None and self._controls.stays_near:
             here = [np.asarray(place) * self._unit for place in (seen.position, seen.look_at)]
             eye, target = self._reach.limited(here[0], here[1])
-            # A browser reports a pose of its own before it takes the start pose.
+            # A new browser reports its default pose before it applies the start pose.
             if eye is here[0]:
                 self._started.add(client.client_id)
             elif client.client_id in self._started:

@@ -160,8 +160,8 @@ def _names(found: list[UnposedPhoto]) -> list[str]:
 def _turned_upright(loaded: LoadedPhotos) -> tuple[LoadedPhotos, list[str]]:
     """Turn photographs on their side or upside down as the others are; also return their names.
 
-    None is turned if these are more than one and more than a quarter of all: pictures taken straight down
-    have no upright side.
+    None is turned if these are more than one and more than a quarter of all: in pictures taken straight
+    down no side is up.
     """
     import torch
 
