@@ -42,6 +42,9 @@ STAGES = {
 }
 """Column for each stage of `benchmarks.stage_clock`; the other stages are only in the sum."""
 
+TITLES = {"cpu": "CPU-s", "memory_mb": "peak MB", "folder_mb": "run folder MB"}
+"""Of columns whose key is not their title."""
+
 
 def measure(views: int) -> dict[str, Any]:
     """Return CPU seconds by column, `cpu`, `memory_mb` and `folder_mb` (10^6 bytes) of a training."""
@@ -73,7 +76,6 @@ def exponent(record: Mapping[str, Mapping[str, float]], column: str) -> float:
 def table(record: Mapping[str, Mapping[str, float]]) -> str:
     """Return the numbers as a table with the exponents in the last row."""
     columns = list(dict.fromkeys(["cpu", *STAGES.values(), "memory_mb", "folder_mb"]))
-    names = {"cpu": "CPU-s", "memory_mb": "peak MB", "folder_mb": "run folder MB"}
     rows = [
         [views, *(f"{row[c]:.0f}" if row[c] >= 100 else f"{row[c]:.1f}" for c in columns)]
         for views, row in sorted(record.items(), key=lambda item: int(item[0]))
@@ -81,7 +83,7 @@ def table(record: Mapping[str, Mapping[str, float]]) -> str:
     if all(str(views) in record for views in BETWEEN):
         exponents = (f"{exponent(record, column):.2f}" for column in columns)
         rows.append(["exponent, {} to {}".format(*BETWEEN), *exponents])
-    return markdown(["views", *(names.get(column, column) for column in columns)], rows)
+    return markdown(["views", *(TITLES.get(column, column) for column in columns)], rows)
 
 
 def draw(record: Mapping[str, Mapping[str, float]], path: Path) -> None:
@@ -90,11 +92,12 @@ def draw(record: Mapping[str, Mapping[str, float]], path: Path) -> None:
 
     figure = Figure(figsize=(9, 3.4), dpi=110, layout="constrained")
     views = sorted(map(int, record))
-    for axes, columns in zip(
-        figure.subplots(1, 2), (("cpu", "depth", "points"), ("memory_mb", "folder_mb")), strict=True
-    ):
+    shown = {"CPU seconds": ("cpu", "depth", "points"), "MB": ("memory_mb", "folder_mb")}
+    for axes, (unit, columns) in zip(figure.subplots(1, 2), shown.items(), strict=True):
         for column in columns:
-            axes.loglog(views, [record[str(v)][column] for v in views], "o-", label=column)
+            numbers = [record[str(v)][column] for v in views]
+            axes.loglog(views, numbers, "o-", label=TITLES.get(column, column))
+        axes.set_ylabel(unit)
         last = record[str(views[-1])][columns[0]]
         axes.loglog(views, [last * v / views[-1] for v in views], ":", label="linear")
         axes.set_xlabel("training views")
