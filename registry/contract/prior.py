@@ -18,7 +18,8 @@ class Prior(Component[SettingsType], ABC):
 
     The subclasses `StereoPrior`, `MultiViewDepthPrior`, `MonocularDepthPrior`, `OpticalFlowPrior`,
     `MatchingPrior` and `PosedDepthPrior` have a fixed signature and checked estimates; plugins may agree on
-    other capabilities. A component asks for a capability (`StereoPrior.choose`), the pipeline names the prior.
+    other capabilities. A component asks for a capability (`StereoPrior.choose`), the pipeline
+    names the prior.
 
     Methods that components call work within `with self.context.at_work():`, so that errors name the prior,
     its package and its line in the pipeline.
