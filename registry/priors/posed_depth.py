@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -123,7 +123,7 @@ class PosedDepthPrior(Prior[SettingsType]):
 
     def _checked(
         self, images: Sequence[Tensor], intrinsics: Sequence[Tensor | None]
-    ) -> Mapping[str, Tensor]:
+    ) -> dict[str, Tensor]:
         with self.context.at_work():
             answers = self.estimate(images, intrinsics)
             if not isinstance(answers, list | tuple) or len(answers) != len(images):
