@@ -29,5 +29,6 @@ if TYPE_CHECKING:
         StereoPrior as StereoPrior,
     )
     from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
+    from .prior_cache import identity as identity
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -53,6 +53,10 @@ MIN_SHARED = 3
 positions wrong by 44 % of their spread."""
 FIRST_PAIR_DEGREES = (16.0, 2.0)
 """Triangulation angles of the first pair to try: COLMAP's own, and one for forward-facing photographs."""
+START_ROUNDS = ((8.0, 0.1), (4.0, 0.025), (2.0, 0.0))
+"""Errors of matches that are tolerated in turn while they refine a network's cameras: of rays in degrees, and
+of positions in units of the longer side, at least `MAX_ERROR`. Cameras of a room that were off by ten degrees
+and half a baseline ended where exact ones do."""
 
 # Keypoints and matches of networks
 MIN_SCORE = 0.1
