@@ -152,7 +152,9 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             best = self._remembered(found, None)
             if best.placed < len(found):
                 for prior in self.context.priors(PosedDepthPrior).values():
-                    best = max(best, *self._tried(prior, found), key=lambda cameras: cameras.placed)
+                    best = max(
+                        [best, *self._tried(prior, found)], key=lambda cameras: cameras.placed
+                    )
             return best
         known = self.context.priors(PosedDepthPrior)
         if name not in known:

@@ -156,6 +156,8 @@ class _Search(NamedTuple):
     def run(
         self, matching: Matching, photos: Sequence[UnposedPhoto], connected: Sequence[int]
     ) -> Reconstruction:
+        focals = tuple(photo.focal for photo in photos)
+        start = self.start(focals)
         workplace = self.folder / matching.name
         workplace.mkdir()
         database = workplace / MATCHES
@@ -178,8 +180,6 @@ class _Search(NamedTuple):
                 if doubt is not None and sizes[first] == sizes[second]:
                     doubts[first, second] = doubt
         check = DenseCheck(self.images)
-        focals = tuple(photo.focal for photo in photos)
-        start = self.start(focals)
         pieces = place_cameras(
             database, self.images, workplace, focals, matching.trust, check.confirms, start
         )

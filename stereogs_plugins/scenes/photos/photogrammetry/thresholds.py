@@ -48,6 +48,8 @@ ALWAYS_CHECKED = Trust(2**31, 2**31)
 """Two photographs fit any geometry that a wrong focal length implies."""
 MIN_SUPPORT = 0.9
 """Least share of the matches of a pair that agree with a model; correct ones have 0.95 or more in general."""
+MIN_IN_FRONT = 0.25
+"""Least share of the matches of a pair in front of both cameras; without parallax half are, by chance."""
 MIN_SHARED = 3
 """Points that give two parts of a model the same scale. Three correct models had 6 or more; one had none, and
 positions wrong by 44 % of their spread."""
