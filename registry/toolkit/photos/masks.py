@@ -147,4 +147,4 @@ def points_in_training(points: PointCloud | None, views: Sequence[View]) -> Poin
     kept = shown | ~contained
     if not kept.any():
         return None
-    return replace(points, positions=points.positions[kept], colors=points.colors[kept])
+    return points.subset(kept)
