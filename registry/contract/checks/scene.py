@@ -247,7 +247,7 @@ def _point_faults(points: PointCloud) -> Faults:
     import torch
 
     count = len(points)
-    shapes = {
+    shapes: dict[str, list[tuple[int, ...]]] = {
         "positions": [(count, 3)],
         "colors": [(count, 3)],
         "scales": [(count,), (count, 3)],

@@ -367,7 +367,8 @@ def test_bands_of_the_initial_points_train_from_the_start_and_after_a_resumption
     pipeline = parse_pipeline(BASE, extension_points, source="p.yaml", overrides=overrides)
     scene = tiny_scene()
     assert scene.points is not None
-    points = replace(scene.points, sh=torch.rand(len(scene.points), 4, 3))
+    bands = torch.rand(len(scene.points), 4, 3)
+    points = replace(scene.points, sh=bands)
 
     def make(text: str) -> Trainer:
         return assemble(Parts(pipeline, device), scene, points)
@@ -375,7 +376,7 @@ def test_bands_of_the_initial_points_train_from_the_start_and_after_a_resumption
     whole, second = resumed(make, "")
     assert whole.model.digest() == second.model.digest()
     sh = whole.model.gaussians().sh
-    assert not torch.equal(sh[:, 1:4], points.sh[:, 1:])
+    assert not torch.equal(sh[:, 1:4], bands[:, 1:])
     assert not sh[:, 4:].any()
 
 

@@ -11,6 +11,7 @@ from core_rasterizer import Gaussians, PlyError, save_ply
 from registry import Scene, SceneError
 from stereogs_plugins.initializers.ply import PlyInitializer, stereogs_register_initializers
 from stereogs_plugins.scenes.procedural import ProceduralScene
+from tests.host import TrainingSettings, initial_gaussians
 from tests.stereogs_plugins.building import build, offered
 
 POSITIONS = torch.tensor([[0.5, -1.0, 3.0], [1.5, 0.25, 2.0]])
@@ -59,15 +60,7 @@ def test_a_gaussian_scene(tmp_path: Path, scene: Scene) -> None:
     framed = scene.in_frame().for_training()
     points = build(PlyInitializer, path=tmp_path / "scene.ply").initialize(framed, {})
     expected = framed.frame.gaussians_of_file(gaussians)
-    started = Gaussians.from_points(
-        points.positions,
-        points.colors,
-        points.scales,
-        points.opacities,
-        3,
-        points.quaternions,
-        points.sh,
-    )
+    started = initial_gaussians(points, TrainingSettings())
     for name, values in vars(expected).items():
         torch.testing.assert_close(getattr(started, name), values)
 
