@@ -88,6 +88,7 @@ if TYPE_CHECKING:
         DepthMap as DepthMap,
         Disparity as Disparity,
         Flow as Flow,
+        GaussiansPrior as GaussiansPrior,
         Matches as Matches,
         MatchingPrior as MatchingPrior,
         MonocularDepthPrior as MonocularDepthPrior,

@@ -30,6 +30,7 @@ from ..errors import PluginError
 from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
+    GaussiansPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -75,6 +76,7 @@ def _prior(bench: Bench, built: Any) -> Any:
         (MonocularDepthPrior, "inverse_depth", images[:1]),
         (OpticalFlowPrior, "flow", images),
         (MatchingPrior, "matches", images),
+        (GaussiansPrior, "gaussians", [views, bench.scene.bounds]),
     ):
         if isinstance(built, base):
             with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
