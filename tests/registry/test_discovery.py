@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.discovery import GROUP, SELECTION, Plugins, recognize
+from registry.discovery import GROUP, SELECTION, Plugins
+from registry.recognition import recognize
 from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
