@@ -10,8 +10,7 @@ import pytest
 
 from registry import API_VERSION, PluginError
 from registry.discovery import GROUP, SELECTION, Plugins
-from registry.recognition import recognize
-from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline
+from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline, recognize
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}
