@@ -93,6 +93,8 @@ if TYPE_CHECKING:
         MonocularDepthPrior as MonocularDepthPrior,
         MultiViewDepthPrior as MultiViewDepthPrior,
         OpticalFlowPrior as OpticalFlowPrior,
+        PosedDepth as PosedDepth,
+        PosedDepthPrior as PosedDepthPrior,
         StereoPrior as StereoPrior,
     )
     from registry.runners import (

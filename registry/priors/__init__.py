@@ -28,5 +28,6 @@ if TYPE_CHECKING:
         OpticalFlowPrior as OpticalFlowPrior,
         StereoPrior as StereoPrior,
     )
+    from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)
