@@ -46,7 +46,7 @@ class GaussiansPrior(Prior[SettingsType]):
         """
         found = cached(self, views, [bounds], lambda: self._checked(views, bounds), lambda _: {})
         kinds = {name.removeprefix(_KIND): x for name, x in found.items() if _KIND in name}
-        fields = {name: x for name, x in found.items() if _KIND not in name}
+        fields: dict[str, Any] = {name: x for name, x in found.items() if _KIND not in name}
         return PointCloud(**fields, kinds=kinds)
 
     def _checked(
