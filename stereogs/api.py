@@ -88,11 +88,14 @@ if TYPE_CHECKING:
         DepthMap as DepthMap,
         Disparity as Disparity,
         Flow as Flow,
+        GaussiansPrior as GaussiansPrior,
         Matches as Matches,
         MatchingPrior as MatchingPrior,
         MonocularDepthPrior as MonocularDepthPrior,
         MultiViewDepthPrior as MultiViewDepthPrior,
         OpticalFlowPrior as OpticalFlowPrior,
+        PosedDepth as PosedDepth,
+        PosedDepthPrior as PosedDepthPrior,
         StereoPrior as StereoPrior,
     )
     from registry.runners import (

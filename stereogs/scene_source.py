@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from registry.discovery import SCENE, Plugins, recognize
+from registry.discovery import SCENE, Plugins
 from registry.errors import SceneError
 from registry.pipeline.pipeline import Item, load_pipeline
 from registry.pipeline.ready import is_pipeline_file, ready_pipelines
 from registry.pipeline.settings_check import escape_variables
 from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
 from registry.pipeline.yaml_source import Node
+from registry.recognition import recognize
 
 
 class FoundLoader(NamedTuple):

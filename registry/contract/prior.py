@@ -16,9 +16,9 @@ from .component import Component, SettingsType
 class Prior(Component[SettingsType], ABC):
     """A frozen model that estimates something from images.
 
-    The subclasses `StereoPrior`, `MultiViewDepthPrior`, `MonocularDepthPrior`, `OpticalFlowPrior` and
-    `MatchingPrior` have a fixed signature and checked estimates; plugins may agree on other capabilities.
-    A component asks for a capability (`StereoPrior.choose`), the pipeline names the prior.
+    The subclasses in `registry.priors` have a fixed signature and checked estimates; plugins may agree on
+    other capabilities. A component asks for a capability (`StereoPrior.choose`), the pipeline
+    names the prior.
 
     Methods that components call work within `with self.context.at_work():`, so that errors name the prior,
     its package and its line in the pipeline.

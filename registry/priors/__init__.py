@@ -28,5 +28,7 @@ if TYPE_CHECKING:
         OpticalFlowPrior as OpticalFlowPrior,
         StereoPrior as StereoPrior,
     )
+    from .gaussians import GaussiansPrior as GaussiansPrior
+    from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

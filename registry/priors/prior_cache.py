@@ -62,7 +62,8 @@ def cached(
 
         with torch.no_grad():
             found = {label: tensor.contiguous() for label, tensor in compute().items()}
-        facts = {"views": list(map(stem, views)), "question": list(map(str, arguments))}
+        words = [str(argument) for argument in arguments if not isinstance(argument, torch.Tensor)]
+        facts = {"views": list(map(stem, views)), "question": words}
         with prior.context.at_work():
             complete = prior.fingerprint() == fingerprint
         if complete:  # else `compute` opened a model, which the key lacks

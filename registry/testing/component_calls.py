@@ -30,10 +30,12 @@ from ..errors import PluginError
 from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
+    GaussiansPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
+    PosedDepthPrior,
     StereoPrior,
 )
 from ..runs.options import RunOptions
@@ -66,17 +68,39 @@ def _prior(bench: Bench, built: Any) -> Any:
     require(isinstance(capability, str), "a prior must have a class variable `capability`, a text")
     views = bench.scene.train
     images = [view.image for view in views]
+    if isinstance(built, PosedDepthPrior):
+        return _posed_depths(bench, built)
     for base, method, given in (
         (StereoPrior, "both", images),
         (MultiViewDepthPrior, "depths", [views, bench.scene.bounds]),
         (MonocularDepthPrior, "inverse_depth", images[:1]),
         (OpticalFlowPrior, "flow", images),
         (MatchingPrior, "matches", images),
+        (GaussiansPrior, "gaussians", [views, bench.scene.bounds]),
     ):
         if isinstance(built, base):
             with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
                 return bench.call(getattr(built, method), *given)
     return capability
+
+
+def _posed_depths(bench: Bench, built: PosedDepthPrior[Any]) -> Any:
+    """Ask for the least number of photographs and for one more, with known and unknown intrinsics."""
+    least, most = built.accepted_views
+    require(
+        1 <= least <= (most or least),
+        f"`accepted_views` is {least} to {most}: the least number of photographs must be 1 or more, and not "
+        "above the largest",
+    )
+    views = (*bench.scene.train, *bench.scene.test)
+    answers = []
+    for count in range(least, min(least + 1, most or least + 1) + 1):
+        chosen = [views[k % len(views)] for k in range(count)]
+        known = [view.camera.intrinsics if k else None for k, view in enumerate(chosen)]
+        with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
+            answer = bench.call(built.posed_depths, [view.image for view in chosen], known)
+        answers.append(answer)
+    return answers
 
 
 def _in_iteration(bench: Bench, built: Any) -> Any:
