@@ -74,9 +74,10 @@ class Guess:
 
 @dataclass(frozen=True)
 class Trial:
-    """A tried guess with the score and duration of one prediction."""
+    """A tried guess with its prior, and the score and duration of one prediction."""
 
     guess: Guess
+    prior: Prior[Any]
     score: Score
     seconds: float
 
@@ -129,7 +130,7 @@ def attempt(guess: Guess, truth: Truth, device: Device) -> Trial:
     begin = time.perf_counter()
     with blamed(item):
         result = score(prior, truth)
-    return Trial(guess, result, time.perf_counter() - begin)
+    return Trial(guess, prior, result, time.perf_counter() - begin)
 
 
 def _changed(offer: Offer, settings: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
