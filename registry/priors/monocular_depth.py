@@ -203,4 +203,5 @@ def unit_normals(normals: Tensor, valid: Tensor) -> Tensor:
     given = normals.detach().float()
     length = given.norm(dim=2)
     known = valid & length.isfinite() & (length > 0)
-    return (given / length[..., None]).where(known[..., None], 0.0)
+    unit: Tensor = (given / length[..., None]).where(known[..., None], 0.0)
+    return unit
