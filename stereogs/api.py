@@ -91,6 +91,7 @@ if TYPE_CHECKING:
         GaussiansPrior as GaussiansPrior,
         Matches as Matches,
         MatchingPrior as MatchingPrior,
+        MonocularDepth as MonocularDepth,
         MonocularDepthPrior as MonocularDepthPrior,
         MultiViewDepthPrior as MultiViewDepthPrior,
         OpticalFlowPrior as OpticalFlowPrior,
