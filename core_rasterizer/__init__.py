@@ -35,7 +35,12 @@ if TYPE_CHECKING:
         apply_edit as apply_edit,
         photometric_loss as photometric_loss,
     )
-    from .ply import load_ply as load_ply, load_points as load_points, save_ply as save_ply
+    from .ply import (
+        holds_gaussians as holds_gaussians,
+        load_ply as load_ply,
+        load_points as load_points,
+        save_ply as save_ply,
+    )
     from .rendering import Rendering as Rendering
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -89,28 +89,40 @@ class Gaussians:
 
     @staticmethod
     def from_points(
-        positions: Tensor, colors: Tensor, scales: Tensor, opacities: Tensor, sh_degree: int
+        positions: Tensor,
+        colors: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh_degree: int,
+        quaternions: Tensor | None = None,
+        sh: Tensor | None = None,
     ) -> Gaussians:
-        """Create isotropic Gaussians at points.
+        """Create Gaussians at points.
 
         Args:
             positions: `[N, 3]` world units.
             colors: `[N, 3]` in [0, 1]; stored in the constant SH band as (rgb - 0.5) / C0.
-            scales: `[N]` standard deviations, world units, > 0.
+            scales: `[N]` or `[N, 3]` standard deviations, world units, > 0.
             opacities: `[N]` in (0, 1).
-            sh_degree: 0 to 3; bands above the constant one are zero.
+            sh_degree: 0 to 3; bands that are not given are zero.
+            quaternions: `[N, 4]` (w, x, y, z); None: no rotation.
+            sh: `[N, K, 3]`, instead of the colours; bands above `sh_degree` are left out.
         """
         count = positions.shape[0]
-        sh = torch.zeros(count, sh_coefficients(sh_degree), 3)
-        sh[:, 0] = (colors - 0.5) / SH_C0
-        quaternions = torch.zeros(count, 4)
-        quaternions[:, 0] = 1.0
+        known = (colors[:, None] - 0.5) / SH_C0 if sh is None else sh
+        coefficients = torch.zeros(count, sh_coefficients(sh_degree), 3)
+        shared = min(known.shape[1], coefficients.shape[1])
+        coefficients[:, :shared] = known[:, :shared]
+        if quaternions is None:
+            quaternions = torch.zeros(count, 4)
+            quaternions[:, 0] = 1.0
+        log_scales = scales.float().log()
         return Gaussians(
             means=positions.float().clone(),
-            log_scales=scales.float().log()[:, None].repeat(1, 3),
-            quaternions=quaternions,
+            log_scales=log_scales[:, None].repeat(1, 3) if scales.ndim == 1 else log_scales,
+            quaternions=quaternions.float().clone(),
             opacity_logits=torch.logit(opacities.float().clamp(1e-6, 1 - 1e-6)),
-            sh=sh,
+            sh=coefficients,
         )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -153,6 +154,18 @@ def _not_gaussians(missing: list[str], available: set[str], path: Path) -> PlyEr
         where=str(path),
         fix="use a Gaussian scene, not a point cloud or a mesh",
     )
+
+
+def holds_gaussians(path: str | Path) -> bool:
+    """Whether the vertices of a PLY file have all properties of Gaussians (`load_ply`).
+
+    Raises:
+        PlyError: the file is missing, truncated or not a PLY.
+    """
+    elements = read_header(Path(path)).elements
+    lines = b"".join(element.lines for element in elements if element.name == "vertex")
+    names = re.findall(rb"^property[ \t]+\w+[ \t]+(\w+)", lines, flags=re.MULTILINE)
+    return set(_REQUIRED) <= {name.decode() for name in names}
 
 
 def load_points(path: str | Path) -> tuple[Tensor, Tensor]:

@@ -64,6 +64,29 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(terms, dim=-1)
 
 
+def rotated_sh(sh: Tensor, rotation: Tensor) -> Tensor:
+    """Return the coefficients of colours that turn with their Gaussians: new(R d) = old(d).
+
+    Each band is a space of its own under rotations; its matrix follows from values at directions.
+
+    Args:
+        sh: `[N, K, 3]`, K = 1, 4, 9 or 16.
+        rotation: `[3, 3]`, R.
+    """
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(64, 3, generator=generator, dtype=torch.float64)
+    directions /= directions.norm(dim=1, keepdim=True)
+    degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[1]]
+    before = sh_basis(directions @ rotation.double(), degree)  # at R^T d
+    after = sh_basis(directions, degree)
+    bands = [slice(band**2, (band + 1) ** 2) for band in range(degree + 1)]
+    turned = [
+        torch.linalg.lstsq(after[:, band], before[:, band]).solution @ sh[:, band].double()
+        for band in bands
+    ]
+    return torch.cat(turned, dim=1).to(sh.dtype)
+
+
 def band_weights(sh_degree: float, coefficients: int) -> Tensor:
     """Weights of the coefficients for a fractional degree: 1.5 is bands 0 and 1 and half of band 2.
 

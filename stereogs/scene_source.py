@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from registry.discovery import PRIORS, SCENE, Plugins, recognize
+from registry.discovery import PRIORS, SCENE, Plugins
 from registry.errors import SceneError
 from registry.pipeline.pipeline import Item, Pipeline, load_pipeline, with_named_priors
 from registry.pipeline.ready import is_pipeline_file, ready_pipelines
@@ -14,6 +14,7 @@ from registry.pipeline.settings_check import escape_variables
 from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
 from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Node
+from registry.recognition import recognize
 
 if TYPE_CHECKING:
     from core_rasterizer import Device, Engine

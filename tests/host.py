@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         Plugins,
         installed_entries,
         offered_name,
-        recognize,
     )
     from registry.errors import PipelineError
     from registry.messages.visible_text import is_plain_name, without_credentials
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from registry.pipeline.training_settings import LearningRates, TrainingSettings
     from registry.pipeline.yaml_source import Place, parse as parse_yaml, to_yaml
     from registry.priors.prior_cache import load_estimate, save_estimate
+    from registry.recognition import recognize
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
     from registry.runs.opening import load_run

@@ -228,7 +228,12 @@ LAYERS = (
     ("testing",),
 )
 """Packages of `registry`, lowest first: each imports from lower layers only."""
-WITHIN = {"confidence": "contract", "events": "contract", "runners": "contract"}
+WITHIN = {
+    "confidence": "contract",
+    "events": "contract",
+    "recognition": "pipeline",
+    "runners": "contract",
+}
 """Modules of `registry` that belong to the layer of a package."""
 
 

@@ -133,7 +133,7 @@ def of_scene(scene: Scene | TrainingScene) -> ReadOnlyGuard:
         found[f"the camera of {view.name}"] = view.camera.world_to_camera
         for attribute, title in _VIEW_TENSORS.items():
             found[f"the {title} of {view.name}"] = vars(view).get(attribute)
-    for name in ("positions", "colors", "scales", "opacities"):
+    for name in ("positions", "colors", "scales", "opacities", "quaternions", "sh"):
         found[f"the {name} of the scene's points"] = getattr(scene.points, name, None)
     return ReadOnlyGuard({name: value for name, value in found.items() if value is not None})
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ..errors import PluginError
+from ..errors import PluginError, SceneError
 from .frame import IN_FILE, Frame
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import Camera
+    from core_rasterizer import Camera, Gaussians
 
 FactValue = str | int | float | tuple[int, ...]
 SOLID = 0.99
@@ -30,15 +30,20 @@ def camera_extent(cameras: Sequence[Camera]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points that Gaussians start from.
+    """Points that Gaussians start from, or whole Gaussians (`of_gaussians`).
 
     Args:
         positions: `[P, 3]`, world units: float32, or float64 from a scene loader, for coordinates far from
             the origin.
         colors: `[P, 3]` float32 in [0, 1].
-        scales: `[P]` float32 standard deviations in world units, or None: chosen by the host from
-            the distance to the three nearest neighbours.
+        scales: `[P]` float32 standard deviations in world units, or `[P, 3]` along the Gaussians' axes, or
+            None: chosen by the host from the distance to the three nearest neighbours.
         opacities: `[P]` float32 in (0, 1), or None: the pipeline's initial opacity.
+        quaternions: `[P, 4]` float32 rotations (w, x, y, z) from the Gaussians' axes to the world's, of
+            non-zero length, or None: no rotation.
+        sh: `[P, K, 3]` float32 spherical-harmonic coefficients, K = 1, 4, 9 or 16, instead of the colours
+            (colour = SH + 0.5; `core_rasterizer.Gaussians`), or None. Training uses their bands from
+            the start, and leaves out those above its `sh_degree`.
         facts: recorded in the results.
         pictures: `[H, W, 3]` in [0, 1] by file name without extension; the run saves them as PNG.
         maps: known depth of training views, by the view's name, for components that train on it
@@ -56,9 +61,78 @@ class PointCloud:
     pictures: Mapping[str, Tensor] = field(default_factory=dict)
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
+    quaternions: Tensor | None = None
+    sh: Tensor | None = None
 
     def __len__(self) -> int:
         return int(self.positions.shape[0])
+
+    @staticmethod
+    def of_gaussians(gaussians: Gaussians) -> PointCloud:
+        """Return points that training turns into these Gaussians; opacities are within 1e-6 of 0 and 1."""
+        import torch
+
+        from core_rasterizer import SH_C0
+
+        smallest = torch.finfo(torch.float32).tiny
+        return PointCloud(
+            positions=gaussians.means,
+            colors=(gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1),
+            scales=gaussians.log_scales.exp().clamp(min=smallest),
+            opacities=gaussians.opacity_logits.sigmoid().clamp(1e-6, 1 - 1e-6),
+            quaternions=gaussians.quaternions,
+            sh=gaussians.sh,
+        )
+
+    def transformed(self, similarity: Tensor) -> PointCloud:
+        """Return the points in another coordinate system, for example a network's answer in the world's.
+
+        Args:
+            similarity: `[4, 4]`, scale * rotation and translation, from these coordinates to the others.
+
+        Raises:
+            SceneError: it mirrors or shears.
+        """
+        import torch
+        from scipy.spatial.transform import Rotation
+
+        from core_rasterizer.spherical_harmonics import rotated_sh
+
+        linear, shift = similarity[:3, :3].double(), similarity[:3, 3].double()
+        unit = float(torch.linalg.det(linear).clamp(min=0)) ** (1 / 3)
+        if not torch.allclose(
+            linear @ linear.T, unit**2 * torch.eye(3).double(), 1e-4, 1e-4 * unit**2
+        ):
+            raise SceneError(
+                "the points cannot be transformed by a matrix that mirrors or shears",
+                fix="pass scale * rotation and translation, for example `camera.camera_to_world`",
+            )
+        turn, quaternions = Rotation.from_matrix((linear / unit).numpy()), self.quaternions
+        if quaternions is not None:  # scipy's order is x, y, z, w
+            turn *= Rotation.from_quat(quaternions[:, [1, 2, 3, 0]].numpy())
+        if quaternions is not None or (self.scales is not None and self.scales.ndim == 2):
+            wxyz = torch.from_numpy(turn.as_quat()).float().roll(1, dims=-1)
+            quaternions = wxyz.expand(len(self), 4).contiguous()
+        positions = self.positions.double() @ linear.T + shift
+        return replace(
+            self,
+            positions=positions.to(self.positions.dtype),
+            scales=None if self.scales is None else self.scales * unit,
+            quaternions=quaternions,
+            sh=None if self.sh is None else rotated_sh(self.sh, linear / unit),
+        )
+
+    def subset(self, chosen: Tensor) -> PointCloud:
+        """Return some of the points with all their properties; maps, pictures and facts stay.
+
+        Args:
+            chosen: `[P]` bool, or indices.
+        """
+        per_point = ("positions", "colors", "scales", "opacities", "quaternions", "sh")
+        given = {name: getattr(self, name) for name in per_point}
+        parts = {name: values[chosen] for name, values in given.items() if values is not None}
+        kinds = {name: mask[chosen] for name, mask in self.kinds.items()}
+        return replace(self, **parts, kinds=kinds)
 
 
 @dataclass(frozen=True)

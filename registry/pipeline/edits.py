@@ -8,8 +8,9 @@ from pathlib import Path
 
 from ..contract.components import SceneLoader
 from ..contract.hook_points import PIPELINE_POINTS
-from ..discovery import Plugins, recognize, recognizing
+from ..discovery import Plugins
 from ..messages.suggestions import did_you_mean, listing
+from ..recognition import recognize, recognizing
 from .ready import packager
 from .settings_check import plain
 from .yaml_source import Node, Place, parse

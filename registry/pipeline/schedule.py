@@ -158,12 +158,13 @@ def with_defaults(written: Mapping[str, Node], defaults: Mapping[str, Node]) -> 
     return {**{name: n for name, n in defaults.items() if name not in unused}, **written}
 
 
-def active_sh_degree(iteration: int, sh_degree: int, every: int) -> int:
-    """Return the highest band in use: 0 at first, one more in each multiple of `every` (3DGS: 1000).
+def active_sh_degree(iteration: int, sh_degree: int, every: int, first: int = 0) -> int:
+    """Return the highest band in use: 0 or `first`, and one more in each multiple of `every` (3DGS: 1000).
 
     Args:
         iteration: 1-based.
         sh_degree: the highest degree, 0 to 3.
         every: iterations between two bands, >= 1.
+        first: highest band of the initial Gaussians.
     """
-    return min(sh_degree, iteration // every)
+    return min(sh_degree, max(first, iteration // every))

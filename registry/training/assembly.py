@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isqrt
+
 from core_rasterizer import Gaussians, Model
 
 from ..contract.scene import PointCloud, Scene
@@ -29,7 +31,15 @@ def assemble(
     if gaussians is None:
         gaussians = initial_gaussians(points, settings)
     model = new_model(gaussians, settings, parts.device)
-    return Trainer(settings, parts, scene, model, points.maps, points.kinds)
+    return Trainer(
+        settings,
+        parts,
+        scene,
+        model,
+        points.maps,
+        points.kinds,
+        first_sh_degree=0 if points.sh is None else isqrt(points.sh.shape[1]) - 1,
+    )
 
 
 def restore(

@@ -72,6 +72,7 @@ class Field:
         model: the Gaussians, changed in place.
         index: number of the field; field 0 is scored.
         kinds: kinds of the initial points (`PointCloud.kinds`).
+        first_sh_degree: SH bands in use from the first iteration.
 
     Attributes:
         prefix: of its state and of its logged numbers, empty for field 0.
@@ -93,7 +94,9 @@ class Field:
         model: Model,
         index: int,
         kinds: Mapping[str, Tensor] | None = None,
+        first_sh_degree: int = 0,
     ) -> None:
+        self._first_sh_degree = first_sh_degree
         self.index, self.parts, self.model = index, parts, model
         self.prefix = f"field{index}/" if index else ""
         self.kinds = dict(kinds or {})
@@ -121,7 +124,9 @@ class Field:
         settings, scene = self._settings, self._scene
         vars(self).pop("_rendering", None)  # the next render uses its memory
         self.logged = {}
-        degree = active_sh_degree(iteration, settings.sh_degree, settings.sh_every)
+        degree = active_sh_degree(
+            iteration, settings.sh_degree, settings.sh_every, self._first_sh_degree
+        )
         sample = Sample(
             view, view.camera, view.image, scene.background, degree, weights=view.weights
         )

@@ -17,7 +17,7 @@ MIN_SQUARED_DISTANCE = 1e-7
 
 
 def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussians:
-    """Return isotropic Gaussians with the positions and colours of the points.
+    """Return Gaussians with the properties of the points, isotropic where these have one scale or none.
 
     Args:
         points: at least one, checked (`check_initialization`).
@@ -28,7 +28,13 @@ def initial_gaussians(points: PointCloud, settings: TrainingSettings) -> Gaussia
     if opacities is None:
         opacities = torch.full((len(points),), settings.initial_opacity)
     return Gaussians.from_points(
-        points.positions, points.colors, scales, opacities, settings.sh_degree
+        points.positions,
+        points.colors,
+        scales,
+        opacities,
+        settings.sh_degree,
+        points.quaternions,
+        points.sh,
     )
 
 

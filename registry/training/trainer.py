@@ -25,6 +25,9 @@ from .field import Field
 from .gradients import in_iteration
 from .initial_model import new_model
 
+_FIRST_SH_DEGREE = "first_sh_degree"
+"""Name of the tensor in checkpoints of trainings whose initial points have SH bands."""
+
 
 @dataclass(frozen=True)
 class Iteration:
@@ -54,6 +57,7 @@ class Trainer:
         maps: depth maps of the training views from the initializer (`PointCloud.maps`).
         kinds: kinds of the initial points (`PointCloud.kinds`).
         checkpoint: to continue after; the model must hold its Gaussians. Then `maps` and `kinds` are its.
+        first_sh_degree: SH bands of the initial points (`PointCloud.sh`), or the checkpoint's.
 
     Attributes:
         iteration: the last complete iteration; 0 before the first.
@@ -72,19 +76,23 @@ class Trainer:
         maps: Mapping[str, DepthMap] | None = None,
         kinds: Mapping[str, Tensor] | None = None,
         checkpoint: Checkpoint | None = None,
+        first_sh_degree: int = 0,
     ) -> None:
         self.settings, self.parts, self.scene, self.model = settings, parts, scene, model
         self.iteration = 0
         self._maps, known = maps or {}, scene.for_training()
         if checkpoint is not None:
             self._maps = maps_of(checkpoint.part("maps"))
-        self.fields = [Field(settings, known, self._maps, parts, model, 0, kinds)]
+            first_sh_degree = int(checkpoint.tensors.get(_FIRST_SH_DEGREE, torch.tensor(0)))
+        self._first_sh_degree = first_sh_degree
+        inputs = settings, known, self._maps
+        self.fields = [Field(*inputs, parts, model, 0, kinds, first_sh_degree)]
         for index in range(1, settings.fields):
             gaussians = model.gaussians()
             if checkpoint is not None:
                 gaussians = Gaussians(**checkpoint.part(f"field{index}/model"))
             twin, its = new_model(gaussians, settings, model.engine), parts.for_field(index)
-            self.fields.append(Field(settings, known, self._maps, its, twin, index, kinds))
+            self.fields.append(Field(*inputs, its, twin, index, kinds, first_sh_degree))
         self._train = known.train
         self._views = ViewOrder(len(scene.train), derived_seed(settings.seed, "views"))
         if checkpoint is not None:
@@ -154,6 +162,8 @@ class Trainer:
         state = {f"views/{name}": value for name, value in self._views.state().items()}
         frame = self.scene.frame
         state[FRAME] = torch.tensor([*frame.center, frame.unit], dtype=torch.float64)
+        if self._first_sh_degree:
+            state[_FIRST_SH_DEGREE] = torch.tensor(self._first_sh_degree)
         for field in self.fields:
             state |= field.state(self.iteration)
         for view, known in self._maps.items():

@@ -30,10 +30,11 @@ from nerfbaselines.evaluation import DefaultEvaluationProtocol
 
 import stereogs
 from registry import Metric, Unavailable
-from registry.discovery import Plugins, scene_loaders
+from registry.discovery import Plugins
 from registry.pipeline.parts import build_part
 from registry.pipeline.pipeline import Pipeline
 from registry.pipeline.protocols import load_protocol
+from registry.recognition import scene_loaders
 from registry.system.files import write_text
 from registry.toolkit.drawing import save_png
 

@@ -20,7 +20,7 @@ def within(seconds: float) -> Fit:
     Args:
         seconds: wall-clock seconds, > 0, including scores and files.
     """
-    from .fitting import Budget, WithinSeconds
+    from .within_seconds import Budget, WithinSeconds
 
     log = logging.getLogger("stereogs.quality").info
     return WithinSeconds(log, budget=Budget(seconds, time.monotonic()))

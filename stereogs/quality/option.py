@@ -48,7 +48,8 @@ def given_fit(request: TrainRequest) -> Fit:
         RunError: --quality is given with a pipeline, or an option with a number of iterations.
     """
     _check(request)
-    from .fitting import Budget, Fit, WithinSeconds, WithQuality
+    from .fitting import Fit, WithQuality
+    from .within_seconds import Budget, WithinSeconds
 
     given, log, load = request.arguments, console().print, request.load
     is_folder = not request.pipeline_named

@@ -159,8 +159,8 @@ def collector_at_rest() -> Iterator[None]:
 
 def _is_data(given: Path, plugins: Plugins) -> bool:
     """Return whether the argument of `train` is a folder, or a file that a scene loader recognizes."""
-    from registry.discovery import recognizing
     from registry.pipeline.ready import is_pipeline_file
+    from registry.recognition import recognizing
 
     is_file = given.is_file() and not is_pipeline_file(given)
     return given.is_dir() or (is_file and bool(recognizing(given, plugins)))
@@ -175,9 +175,9 @@ def _loader(
         RunError: two scenes are given.
         SceneError: no pipeline is named, and no loader or several recognize the folder.
     """
-    from registry.discovery import recognize
     from registry.pipeline.pipeline import load_pipeline
     from registry.pipeline.settings_check import escape_variables
+    from registry.recognition import recognize
 
     overrides = arguments.set
     if arguments.scene and not named:

@@ -26,7 +26,7 @@ class PlySettings(Settings):
 
 
 class PlyInitializer(Initializer[PlySettings]):
-    """Points of a PLY file; for a Gaussian scene, its means and constant colours.
+    """Points of a PLY file, or the Gaussians of a scene with their shapes, opacities and colours.
 
     The origin of the points is not checked: a cloud made from all photographs contains the test views.
     """
@@ -40,17 +40,24 @@ class PlyInitializer(Initializer[PlySettings]):
             PlyError: the file cannot be read, or has no colours.
             SceneError: it contains no points.
         """
-        from core_rasterizer import load_points
+        from core_rasterizer import holds_gaussians, load_ply, load_points
 
         path = self.settings.path.expanduser()
+        if holds_gaussians(path):
+            points = PointCloud.of_gaussians(scene.frame.gaussians_of_file(load_ply(path)))
+            return _or_refuse(points, path)
         positions, colors = load_points(path)
-        if not len(positions):
-            raise SceneError(
-                "the PLY file contains no points",
-                where=str(path),
-                fix="create it again, or use the initializer `sfm` or `random`",
-            )
-        return PointCloud(scene.frame.points_of_file(positions), colors)
+        return _or_refuse(PointCloud(scene.frame.points_of_file(positions), colors), path)
+
+
+def _or_refuse(points: PointCloud, path: Path) -> PointCloud:
+    if not len(points):
+        raise SceneError(
+            "the PLY file contains no points",
+            where=str(path),
+            fix="create it again, or use the initializer `sfm` or `random`",
+        )
+    return points
 
 
 @hookimpl

@@ -71,7 +71,8 @@ class SfmInitializer(Initializer[SfmSettings]):
                 fix="use `source: triangulate`, or the initializer `random`",
             )
         points = scene.points
-        if len(points) > 1 and bool((points.colors == points.colors[0]).all()):
+        one_color = len(points) > 1 and bool((points.colors == points.colors[0]).all())
+        if one_color and points.sh is None:
             _log.warning("all points have the same colour; colours of the photographs are used")
             return replace(points, colors=mean_colors(points.positions, scene.train))
         return points

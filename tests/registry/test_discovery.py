@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from registry import API_VERSION, PluginError
-from registry.discovery import GROUP, SELECTION, Plugins, recognize
-from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline
+from registry.discovery import GROUP, SELECTION, Plugins
+from tests.host import PIPELINE_POINTS, HookPoint, load_pipeline, parse_pipeline, recognize
 from tests.registry.conftest import EXTENSION_POINTS, TOYS, Install
 
 POINTS = {point.section: point for point in PIPELINE_POINTS}

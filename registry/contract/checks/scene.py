@@ -71,11 +71,11 @@ def validate(scene: Scene) -> Scene:
 
 
 def check_points(points: PointCloud, where: str = "") -> None:
-    """Check the shape and values of positions, colours, scales and opacities.
+    """Check the shapes and values of all properties of points.
 
     Raises:
         SceneError: a shape is wrong, a value is not finite, a scale is not positive, an opacity is not in
-            (0, 1), or a colour is far outside [0, 1], as one of 0 to 255 is.
+            (0, 1), a quaternion has no length, or a colour is far outside [0, 1], as one of 0 to 255 is.
     """
     _raise_first(_point_faults(points), where)
 
@@ -247,25 +247,30 @@ def _point_faults(points: PointCloud) -> Faults:
     import torch
 
     count = len(points)
-    shapes = {
-        "positions": (count, 3),
-        "colors": (count, 3),
-        "scales": (count,),
-        "opacities": (count,),
+    shapes: dict[str, list[tuple[int, ...]]] = {
+        "positions": [(count, 3)],
+        "colors": [(count, 3)],
+        "scales": [(count,), (count, 3)],
+        "opacities": [(count,)],
+        "quaternions": [(count, 4)],
+        "sh": [(count, 1, 3), (count, 4, 3), (count, 9, 3), (count, 16, 3)],
     }
     ranges = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0), "colors": (-1.0, 2.0)}
-    for name, shape in shapes.items():
+    for name, allowed in shapes.items():
         values: Tensor | None = getattr(points, name)
         if values is None:
             continue
-        if tuple(values.shape) != shape:
+        if tuple(values.shape) not in allowed:
             yield (
-                f"points.{name} has the shape {tuple(values.shape)}, expected {shape}",
-                "give each point three coordinates and three colour values",
+                f"points.{name} has the shape {tuple(values.shape)}, "
+                f"expected {' or '.join(map(str, allowed))}",
+                "give each point its own row; `registry.PointCloud` documents the shapes",
             )
         finite = torch.isfinite(values)
         low, high = ranges.get(name, (-math.inf, math.inf))
         good = finite & (low < values) & (values < high)
+        if name == "quaternions":
+            good &= values.norm(dim=1, keepdim=True) > 0
         if not good.all():
             index = int((~good).reshape(count, -1).any(dim=1).nonzero()[0])
             given = values[index].tolist()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ...errors import SceneError
@@ -147,4 +146,4 @@ def points_in_training(points: PointCloud | None, views: Sequence[View]) -> Poin
     kept = shown | ~contained
     if not kept.any():
         return None
-    return replace(points, positions=points.positions[kept], colors=points.colors[kept])
+    return points.subset(kept)

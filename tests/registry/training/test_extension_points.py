@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -357,6 +358,26 @@ def test_several_fields_are_resumed_to_the_same_bits(make: Make) -> None:
     whole, second = resumed(make, TWINS, "training.fields=2")
     digests = [[field.model.digest() for field in t.fields] for t in (whole, second)]
     assert digests[0] == digests[1]
+
+
+def test_bands_of_the_initial_points_train_from_the_start_and_after_a_resumption(
+    extension_points: Plugins, device: Device
+) -> None:
+    overrides = ["training.iterations=6", "training.sh_degree=2"]
+    pipeline = parse_pipeline(BASE, extension_points, source="p.yaml", overrides=overrides)
+    scene = tiny_scene()
+    assert scene.points is not None
+    bands = torch.rand(len(scene.points), 4, 3)
+    points = replace(scene.points, sh=bands)
+
+    def make(text: str) -> Trainer:
+        return assemble(Parts(pipeline, device), scene, points)
+
+    whole, second = resumed(make, "")
+    assert whole.model.digest() == second.model.digest()
+    sh = whole.model.gaussians().sh
+    assert not torch.equal(sh[:, 1:4], bands[:, 1:])
+    assert not sh[:, 4:].any()
 
 
 def test_components_of_every_field_begin_once_when_resumed(

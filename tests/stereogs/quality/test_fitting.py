@@ -15,15 +15,7 @@ import stereogs.quality.rehearsal as rehearsal
 from core_rasterizer import Device
 from registry import Scene
 from stereogs import Pipeline, Run, RunOptions
-from stereogs.quality.fitting import (
-    FEW_ITERATIONS,
-    HURRIED,
-    MIN_ITERATIONS,
-    Budget,
-    Fit,
-    WithinSeconds,
-    WithQuality,
-)
+from stereogs.quality.fitting import HURRIED, Fit, WithQuality
 from stereogs.quality.table import (
     LONG,
     QUALITIES,
@@ -34,6 +26,12 @@ from stereogs.quality.table import (
     Quality,
     by_length,
     by_quality,
+)
+from stereogs.quality.within_seconds import (
+    FEW_ITERATIONS,
+    MIN_ITERATIONS,
+    Budget,
+    WithinSeconds,
 )
 from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start_run
 

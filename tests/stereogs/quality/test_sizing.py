@@ -11,7 +11,8 @@ import stereogs.quality.sizing as sizing
 from core_rasterizer import Device
 from registry import RunError, Scene
 from stereogs import Pipeline, load_scene, train
-from stereogs.quality.fitting import Budget, Fit, WithinSeconds
+from stereogs.quality.fitting import Fit
+from stereogs.quality.within_seconds import Budget, WithinSeconds
 from tests.host import Plugins, load_pipeline
 from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 

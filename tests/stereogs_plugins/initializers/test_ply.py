@@ -11,6 +11,7 @@ from core_rasterizer import Gaussians, PlyError, save_ply
 from registry import Scene, SceneError
 from stereogs_plugins.initializers.ply import PlyInitializer, stereogs_register_initializers
 from stereogs_plugins.scenes.procedural import ProceduralScene
+from tests.host import TrainingSettings, initial_gaussians
 from tests.stereogs_plugins.building import build, offered
 
 POSITIONS = torch.tensor([[0.5, -1.0, 3.0], [1.5, 0.25, 2.0]])
@@ -48,11 +49,30 @@ def test_a_point_cloud(tmp_path: Path, scene: Scene) -> None:
 
 
 def test_a_gaussian_scene(tmp_path: Path, scene: Scene) -> None:
-    gaussians = Gaussians.from_points(POSITIONS, COLORS, torch.ones(2), torch.full((2,), 0.5), 3)
+    scales, turned = (
+        torch.tensor([[0.1, 0.2, 0.4]]).repeat(2, 1),
+        torch.tensor([[0.5, 1, 0, 0]] * 2),
+    )
+    sh = torch.rand(2, 16, 3) / 4
+    opacities = torch.tensor([0.2, 0.7])
+    gaussians = Gaussians.from_points(POSITIONS, COLORS, scales, opacities, 3, turned, sh)
     save_ply(gaussians, tmp_path / "scene.ply")
-    points = build(PlyInitializer, path=tmp_path / "scene.ply").initialize(scene.for_training(), {})
-    assert torch.equal(points.positions, POSITIONS)
+    framed = scene.in_frame().for_training()
+    points = build(PlyInitializer, path=tmp_path / "scene.ply").initialize(framed, {})
+    expected = framed.frame.gaussians_of_file(gaussians)
+    started = initial_gaussians(points, TrainingSettings())
+    for name, values in vars(expected).items():
+        torch.testing.assert_close(getattr(started, name), values)
+
+
+def test_a_scene_of_flat_gaussians_is_a_point_cloud(tmp_path: Path, scene: Scene) -> None:
+    path = tmp_path / "flat.ply"
+    save_ply(Gaussians.from_points(POSITIONS, COLORS, torch.ones(2), torch.ones(2), 0), path)
+    text = path.read_bytes().replace(b"scale_2", b"extra_2")
+    path.write_bytes(text)
+    points = build(PlyInitializer, path=path).initialize(scene.for_training(), {})
     torch.testing.assert_close(points.colors, COLORS)
+    assert points.scales is None
 
 
 def test_unusable_files_are_errors(tmp_path: Path, scene: Scene) -> None:

@@ -153,6 +153,24 @@ def test_a_rotation_in_place_is_another_pose() -> None:
             PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), opacities=torch.tensor([1.0, 0.5])),
             r"opacities\[0\]",
         ),
+        (
+            PointCloud(
+                torch.zeros(2, 3), torch.zeros(2, 3), scales=torch.tensor([[1.0, 2, 0]] * 2)
+            ),
+            r"scales\[0\]",
+        ),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), scales=torch.ones(2, 2)),
+            r"expected \(2,\) or \(2, 3\)",
+        ),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), quaternions=torch.zeros(2, 4)),
+            r"quaternions\[0\]",
+        ),
+        (
+            PointCloud(torch.zeros(2, 3), torch.zeros(2, 3), sh=torch.zeros(2, 5, 3)),
+            "sh has the shape",
+        ),
     ],
 )
 def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
