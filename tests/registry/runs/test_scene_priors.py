@@ -82,7 +82,7 @@ def _installed(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def calls() -> int:
-    count: int = sys.modules["cams"].Posed.calls  # type: ignore[attr-defined]
+    count: int = sys.modules["cams"].Posed.calls
     return count
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter  # type: ignore[attr-defined]
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -23,7 +23,7 @@ from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos import PhotosScene, VideoScene
 from stereogs_plugins.scenes.photos.loader import PhotosSettings
 from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion, thresholds
-from stereogs_plugins.scenes.photos.video_file import VideoSettings
+from stereogs_plugins.scenes.photos.photogrammetry.matching import matchings
 from tests.stereogs_plugins.scenes.photos.photographs import (
     COUNT,
     load,
@@ -112,16 +112,15 @@ def near(room: Scene, wrong: int | None = None) -> Confident:
 def loaded(folder: Path, *priors: Confident, **settings: Any) -> Scene:
     known = {prior.context.name: prior for prior in priors}
     context = Context("photos", 0, open_device(), priors=lambda base: known)
-    small = PhotosSettings(path=folder, max_size=120, matching_size=240, **settings)
-    return PhotosScene(small, context).load()
+    small = {"path": folder, "max_size": 120, "matching_size": 240}
+    return PhotosScene(PhotosSettings.model_validate(small | settings), context).load()
 
 
 @pytest.fixture(autouse=True)
 def _only_sift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty cache; neither further kinds of matches nor dense refinement, which take most of the time."""
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
-    every = structure_from_motion.matchings
-    monkeypatch.setattr(structure_from_motion, "matchings", lambda *given: every(*given)[:1])
+    monkeypatch.setattr(structure_from_motion, "matchings", lambda *given: matchings(*given)[:1])
     monkeypatch.setattr(thresholds, "MAX_REFINED", 0)
 
 
@@ -286,7 +285,10 @@ def test_a_prior_is_not_asked_if_matches_connect_all(folder: Path, entry: Path) 
         raise AssertionError("asked for priors")
 
     context = Context("photos", 0, open_device(), priors=refuse)
-    assert len(PhotosScene(PhotosSettings(path=folder), context).load().train) == COUNT
+    assert (
+        len(PhotosScene(PhotosSettings.model_validate({"path": folder}), context).load().train)
+        == COUNT
+    )
 
 
 def test_a_prior_that_is_not_there_or_does_not_accept_so_many_is_refused(folder: Path) -> None:
@@ -297,7 +299,7 @@ def test_a_prior_that_is_not_there_or_does_not_accept_so_many_is_refused(folder:
 
 
 def test_photographs_and_videos_name_the_prior() -> None:
-    given: Any = {"path": Path("x"), "cameras": "network"}
-    assert PhotosScene.priors_of(PhotosSettings(**given)) == {"network": "posed_depth"}
-    assert VideoScene.priors_of(VideoSettings(**given)) == {"network": "posed_depth"}
-    assert PhotosScene.priors_of(PhotosSettings(path=Path("x"))) == {}
+    for loader in (PhotosScene, VideoScene):
+        settings = loader.Settings(path=Path("x"), cameras="network")  # type: ignore[call-arg]
+        assert loader.priors_of(settings) == {"network": "posed_depth"}  # type: ignore[arg-type]
+    assert PhotosScene.priors_of(PhotosSettings.model_validate({"path": Path("x")})) == {}
