@@ -119,10 +119,20 @@ NETWORKS: dict[str, Network] = {
     "itermvs": Network(
         "onnx_mvs",
         "MIT",
-        4,
-        "https://github.com/FangjinhuaWang/IterMVS, checkpoints/blendedmvs/model_000015.ckpt, exported with "
-        "the inputs of `family: mvsanywhere`",
-        (Source({"itermvs/itermvs_blendedmvs.onnx": None}),),
+        3,
+        "https://github.com/FangjinhuaWang/IterMVS, checkpoints/{blendedmvs,dtu}/model_000015.ckpt",
+        (
+            Source(
+                {"itermvs/itermvs_blendedmvs.onnx": None},
+                "8563268624cf203750212a0e0bfa4825a5af05c0005a225ef02f138258b0fc42",
+                "itermvs",
+            ),
+            Source(
+                {"itermvs/itermvs_dtu.onnx": None},
+                "44fbe8e536f94b5df03c7a1cc170c8224f69ecf1d51e6195279067fa9d8c0378",
+                "itermvs",
+            ),
+        ),
     ),
     "fastdepth": Network(
         "onnx_mono",

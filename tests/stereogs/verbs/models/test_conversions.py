@@ -15,7 +15,7 @@ import torch
 from safetensors.numpy import load
 from torch import nn
 
-from stereogs.verbs.models.conversions import hitnet, lpips, mc_cnn
+from stereogs.verbs.models.conversions import hitnet, itermvs, lpips, mc_cnn
 from stereogs.verbs.models.networks import NETWORKS
 from tests.data import models_folder
 from tests.host import main
@@ -152,3 +152,26 @@ def test_hitnet_answers_as_the_known_graph() -> None:
     (answer,), (expected,) = run(graph, **pair), run(known, **pair)
     np.testing.assert_allclose(answer, expected, atol=1e-4)
     assert np.median(answer) == pytest.approx(5, abs=0.5)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("views", [2, 4])
+def test_itermvs_answers_as_the_known_graph(views: int) -> None:
+    weights = models_folder("originals") / "itermvs_blendedmvs_model_000015.ckpt"
+    known = models_folder("itermvs") / "itermvs_blendedmvs.onnx"
+    (graph,) = itermvs.convert(weights.read_bytes())
+    poses = np.tile(np.eye(4, dtype=np.float32), (1, views, 1, 1))
+    poses[0, :, 0, 3] = 0.1 + 0.2 * np.arange(views)
+    angle = np.float32(0.1)
+    turn = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    poses[0, 1, :3, :3] = turn
+    matrix = np.array([[90, 0, 48], [0, 92, 32], [0, 0, 1]], np.float32)
+    scene = {
+        "images": np.kron(random(1, views, 3, 16, 24), np.ones((1, 1, 1, 4, 4), np.float32)),
+        "K": np.tile(matrix, (1, views, 1, 1)),
+        "cam_T_world": poses,
+        "depth_range": np.array([[2, 8]], np.float32),
+    }
+    for answer, expected in zip(run(graph, **scene), run(known, **scene), strict=True):
+        assert answer.std() > 0.01
+        np.testing.assert_allclose(answer, expected, rtol=1e-4, atol=1e-5)
