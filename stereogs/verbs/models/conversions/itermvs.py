@@ -1,9 +1,9 @@
 """IterMVS (Wang et al., CVPR 2022) from a checkpoint of FangjinhuaWang/IterMVS.
 
 Features have 1/2, 1/4 and 1/8 of the size (levels 1 to 3). At level 3, 32 depths give the weight of each
-source in each pixel, and a hidden state. Four steps of a recurrent unit at 1/4 of the size read the correlation
-at a few depths around the last one. Learned weights of 3x3 neighbours enlarge the depth. Depths are normalized:
-1 is near, 0 is far, linear in inverse depth.
+source in each pixel, and a hidden state. Four steps of a recurrent unit at 1/4 of the size read the
+correlation at a few depths around the last one. Learned weights of 3x3 neighbours enlarge the depth. Depths
+are normalized: 1 is near, 0 is far, linear in inverse depth.
 """
 
 from __future__ import annotations
