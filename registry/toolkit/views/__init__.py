@@ -20,6 +20,11 @@ if TYPE_CHECKING:
         flow_in_size as flow_in_size,
     )
     from .light_shares import gathered as gathered, same_model as same_model
+    from .normals import (
+        axis_normals as axis_normals,
+        blended_normals as blended_normals,
+        depth_normals as depth_normals,
+    )
     from .triangulation import triangulated_points as triangulated_points
     from .view_parameters import ViewParameters as ViewParameters
     from .viewing_angles import subject_of as subject_of, view_angles as view_angles
