@@ -107,9 +107,14 @@ NETWORKS: dict[str, Network] = {
         "onnx_stereo",
         "MIT, Apache-2.0",
         3,
-        "https://github.com/jimtete/thesis-HITNET-Stereo-Depth-estimation, models/eth3d.pb, converted with "
-        "tf2onnx to inputs left and right [N,3,H,W] 0..255",
-        (Source({"hitnet_eth3d/hitnet_eth3d.onnx": None}),),
+        "https://github.com/jimtete/thesis-HITNET-Stereo-Depth-estimation, models/eth3d.pb",
+        (
+            Source(
+                {"hitnet_eth3d/hitnet_eth3d.onnx": None},
+                "ab34a01de126985cbdcd8c482494851f11fa7fac555f83bdc5d5b8af9f2b9797",
+                "hitnet",
+            ),
+        ),
     ),
     "itermvs": Network(
         "onnx_mvs",

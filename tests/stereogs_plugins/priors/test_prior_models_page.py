@@ -13,7 +13,7 @@ from tests.host import Plugins, parse_pipeline
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
-NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow")
+NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow", "torch_module")
 HEAD = "name: example\nscene: {use: llff, path: fern, train_views: 3}\n"
 EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 
@@ -40,7 +40,7 @@ def test_its_pipelines_are_understood(
 
 
 def test_there_is_an_example_of_each_prior() -> None:
-    assert sorted(set(re.findall(r"use: (onnx_\w+)", TEXT))) == sorted(NAMES)
+    assert sorted(set(re.findall(r"use: (onnx_\w+|torch_module)", TEXT))) == sorted(NAMES)
 
 
 def row(name: str) -> str:

@@ -28,6 +28,7 @@ class OnnxGraph:
         self._onnx, self._helper, self._name = onnx, onnx.helper, name
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
+        self._names: dict[tuple[type, tuple[int, ...], bytes], str] = {}
         self._inputs: list[Any] = []
         self._outputs: list[Any] = []
 
@@ -44,11 +45,13 @@ class OnnxGraph:
         self._outputs.append(self._described(name, shape, kind))
 
     def constant(self, values: object, dtype: type = np.float32) -> str:
-        """Add numbers of any shape."""
-        name = f"constant{len(self._constants)}"
-        array: NDArray[Any] = np.ascontiguousarray(np.array(values, dtype))
-        self._constants.append(self._onnx.numpy_helper.from_array(array, name))
-        return name
+        """Add numbers of any shape; equal ones are stored once."""
+        array: NDArray[Any] = np.array(values, dtype, order="C")
+        key = (dtype, array.shape, array.tobytes())
+        if key not in self._names:
+            self._names[key] = f"constant{len(self._names)}"
+            self._constants.append(self._onnx.numpy_helper.from_array(array, self._names[key]))
+        return self._names[key]
 
     def half(self, values: NDArray[np.float32]) -> str:
         """Add numbers that are stored as float16 and used as float32."""

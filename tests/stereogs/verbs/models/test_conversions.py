@@ -15,7 +15,7 @@ import torch
 from safetensors.numpy import load
 from torch import nn
 
-from stereogs.verbs.models.conversions import lpips, mc_cnn
+from stereogs.verbs.models.conversions import hitnet, lpips, mc_cnn
 from stereogs.verbs.models.networks import NETWORKS
 from tests.data import models_folder
 from tests.host import main
@@ -140,3 +140,15 @@ def test_mc_cnn_answers_as_the_known_graph() -> None:
     (graph,) = mc_cnn.convert(weights.read_bytes())
     gray = random(2, 1, 33, 40)
     np.testing.assert_array_equal(run(graph, gray=gray)[0], run(known, gray=gray)[0])
+
+
+@pytest.mark.proof
+def test_hitnet_answers_as_the_known_graph() -> None:
+    weights = models_folder("originals") / "hitnet_eth3d.pb"
+    known = models_folder("hitnet_eth3d") / "hitnet_eth3d.onnx"
+    (graph,) = hitnet.convert(weights.read_bytes())
+    left = np.kron(100 + 40 * random(2, 3, 16, 24), np.ones((1, 1, 4, 4), np.float32))
+    pair = {"left": left, "right": np.roll(left, -5, axis=3)}
+    (answer,), (expected,) = run(graph, **pair), run(known, **pair)
+    np.testing.assert_allclose(answer, expected, atol=1e-4)
+    assert np.median(answer) == pytest.approx(5, abs=0.5)
