@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import GaussianModel, Gaussians, Rendering, open_device
-from registry import PluginError, Scene, Settings, Step
+from registry import PluginError, Regularizer, Scene, Settings, Step
 from registry.priors import MonocularDepth, MonocularDepthPrior, NormalPrior
 from registry.testing import check, step_of, tiny_scene
 from registry.toolkit.views import depth_normals
@@ -109,7 +109,7 @@ class TrueNormals(NormalPrior[Settings]):
         return depth_normals(Rendering(image, view.depth, torch.ones_like(view.depth)), view.camera)
 
 
-def weighted(component: type, weight: float) -> Item:
+def weighted(component: type[Regularizer[Any]], weight: float) -> Item:
     item = pipeline_item(component, component.Settings(), "term")
     return replace(item, host=HostSettings(use="term", weight=weight))
 
