@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         MonocularDepth as MonocularDepth,
         MonocularDepthPrior as MonocularDepthPrior,
     )
+    from .normals import NormalPrior as NormalPrior
     from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
     from .prior_cache import identity as identity
 else:
