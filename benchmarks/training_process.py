@@ -63,7 +63,7 @@ def measure(folder: Path, device: str | None) -> dict[str, Any]:
         raise RunError(
             f"a score is missing: {missing[0]}",
             where=str(folder / PIPELINE),
-            fix="set STEREOGS_MODELS to the folder with the networks for LPIPS (docs/prior_models.md)",
+            fix="set STEREOGS_MODELS to a folder, then `stereogs models get lpips`",
         )
     around = circumstances(run.pipeline, run.engine_model.engine)
     # The time is the end of the run; the command is this process's, not the pipeline's.

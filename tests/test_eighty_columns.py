@@ -22,7 +22,13 @@ training: {iterations: 3, sh_degree: 0}
 """
 RIGHT = (
     [],
-    *(["--help"], ["plugins"], ["plugins", "consistency_dense"], ["explain", "tiny.yaml"]),
+    *(
+        ["--help"],
+        ["models"],
+        ["plugins"],
+        ["plugins", "consistency_dense"],
+        ["explain", "tiny.yaml"],
+    ),
     *([verb, "--help"] for verb in verbs()),
     ["eval", "run"],
     ["compare", "run", "run"],
@@ -47,7 +53,7 @@ WRONG = (
     *(["eval"], ["export", "run"], ["train", "photos", "--qualty", "best"], ["plugins", "new"]),
     *(["train", "photos", "--seconds", "soon"], ["completion", "bsh"], ["train", "--quality=bset"]),
     *(["export", "run", "--format", "gtlf"], ["view", "run"], ["train", "tiny.yaml", "--view"]),
-    ["priors", "check", "nowhere.onnx"],
+    *(["priors", "check", "nowhere.onnx"], ["models", "get", "lpps"], ["models", "get", "hitnet"]),
 )
 MISSING = ("viser", "imageio")
 """Packages of extras that this newcomer has not installed."""

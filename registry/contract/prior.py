@@ -16,8 +16,7 @@ from .component import Component, SettingsType
 class Prior(Component[SettingsType], ABC):
     """A frozen model that estimates something from images.
 
-    The subclasses `StereoPrior`, `MultiViewDepthPrior`, `MonocularDepthPrior`, `OpticalFlowPrior`,
-    `MatchingPrior` and `PosedDepthPrior` have a fixed signature and checked estimates; plugins may agree on
+    The subclasses in `registry.priors` have a fixed signature and checked estimates; plugins may agree on
     other capabilities. A component asks for a capability (`StereoPrior.choose`), the pipeline
     names the prior.
 

@@ -14,6 +14,7 @@ import pydantic
 
 from ..contract.component import Settings
 from ..messages.suggestions import did_you_mean, listing
+from ..toolkit.networks.model_file import MODELS_VARIABLE
 from .yaml_source import Node, Place
 
 _log = logging.getLogger("stereogs.pipeline")
@@ -188,10 +189,10 @@ def _expand_variables(text: str, place: Place) -> str:
                 fix="write ${NAME}; $${ stands for these two characters themselves",
             )
         if name not in os.environ:
-            raise place.error(
-                f"the environment variable {name!r} is not set",
-                fix=f"set it: export {name}=...",
-            )
+            fix = f"set it: export {name}=..."
+            if name == MODELS_VARIABLE:
+                fix += "; `stereogs models` lists the networks that belong there"
+            raise place.error(f"the environment variable {name!r} is not set", fix=fix)
         return os.environ[name]
 
     return _VARIABLE.sub(value, text)

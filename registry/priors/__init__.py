@@ -1,9 +1,9 @@
 """Capabilities of priors: one base class per kind of estimate.
 
     class Mine(MonocularDepthPrior[MySettings]):
-        def estimate(self, image): ...          returns [H, W] relative inverse depth
+        def estimate(self, image): ...          returns MonocularDepth, or [H, W] inverse depth
 
-    depth = prior.inverse_depth_of(view)        in the plugin that uses the prior
+    depth = prior.depth_of(view)                in the plugin that uses the prior
 
 A prior plugin derives from one of these classes and implements `estimate`. Consumers call the other public
 methods. These check shapes and values, so that no NaN reaches a loss or a point cloud. Estimates for the
@@ -23,10 +23,14 @@ if TYPE_CHECKING:
     )
     from .capabilities import (
         MatchingPrior as MatchingPrior,
-        MonocularDepthPrior as MonocularDepthPrior,
         MultiViewDepthPrior as MultiViewDepthPrior,
         OpticalFlowPrior as OpticalFlowPrior,
         StereoPrior as StereoPrior,
+    )
+    from .gaussians import GaussiansPrior as GaussiansPrior
+    from .monocular_depth import (
+        MonocularDepth as MonocularDepth,
+        MonocularDepthPrior as MonocularDepthPrior,
     )
     from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
 else:

@@ -21,45 +21,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger("stereogs.priors")
 
 
-class MonocularDepthPrior(Prior[SettingsType]):
-    """A prior that estimates relative inverse depth of a single image."""
-
-    capability: ClassVar[str] = "monocular_depth"
-    differentiable: ClassVar[bool] = False
-    """True if `estimate` supports autograd; `inverse_depth` then propagates gradients to the image."""
-
-    @abstractmethod
-    def estimate(self, image: Tensor) -> Tensor:
-        """Return `[H, W]` relative inverse depth, larger = nearer, with unknown scale and shift.
-
-        Args:
-            image: `[H, W, 3]` float32 in [0, 1].
-        """
-
-    def inverse_depth(self, image: Tensor) -> Tensor:
-        """Return relative inverse depth `[H, W]` float32 of any image, for example a render; not cached.
-
-        Raises:
-            PluginError: The estimate has a wrong shape or non-finite values.
-        """
-        with _at_work(self, gradients=self.differentiable):
-            answer = self.estimate(image)
-            _check_shape("inverse depth", answer, tuple(image.shape[:2]))
-            _check_finite("inverse depth", answer)
-            return answer.float().contiguous()
-
-    def inverse_depth_of(self, view: TrainingView) -> Tensor:
-        """`inverse_depth` of a photograph; cached on disk."""
-        name = "inverse_depth"
-        return cached(
-            self,
-            [view],
-            [],
-            lambda: {name: self.inverse_depth(view.image)},
-            lambda found: {name: nearness_picture(found[name], found[name].isfinite())},
-        )[name]
-
-
 class MultiViewDepthPrior(Prior[SettingsType]):
     """A prior that estimates the depth of several views jointly, from their images and cameras."""
 
@@ -145,7 +106,7 @@ class StereoPrior(Prior[SettingsType]):
         flip(I_l))). The StereoGS paper exchanges the two arguments, which yields no matches.
         """
         mirrored = self.estimate(right.flip(1).contiguous(), left.flip(1).contiguous())
-        _check_shape("disparity", mirrored, tuple(right.shape[:2]))
+        check_shape("disparity", mirrored, tuple(right.shape[:2]))
         return self.estimate(left, right), mirrored.flip(1)
 
     def disparity(self, left: Tensor, right: Tensor) -> Disparity:
@@ -155,18 +116,18 @@ class StereoPrior(Prior[SettingsType]):
             PluginError: The images differ in size, or the estimate has a wrong shape.
         """
         _check_pair(left, right)
-        with _at_work(self):
+        with at_work(self):
             return self._checked(self.estimate(left, right), left)
 
     def both(self, left: Tensor, right: Tensor) -> tuple[Disparity, Disparity]:
         """Like `disparity`, for the left and the right image, both positive, each on its own grid."""
         _check_pair(left, right)
-        with _at_work(self):
+        with at_work(self):
             of_left, of_right = self.estimate_both(left, right)
             return self._checked(of_left, left), self._checked(of_right, right)
 
     def _checked(self, answer: Any, image: Tensor) -> Disparity:
-        _check_shape("disparity", answer, tuple(image.shape[:2]))
+        check_shape("disparity", answer, tuple(image.shape[:2]))
         values = answer.detach().float()
         valid = values.isfinite() & (values > 0)
         if not self._warned and not valid.any():
@@ -196,9 +157,9 @@ class OpticalFlowPrior(Prior[SettingsType]):
         Raises:
             PluginError: The estimate has a wrong shape.
         """
-        with _at_work(self):
+        with at_work(self):
             answer = self.estimate(first, second)
-            _check_shape("flow", answer, (*first.shape[:2], 2))
+            check_shape("flow", answer, (*first.shape[:2], 2))
         vectors = answer.detach().float()
         valid = vectors.isfinite().all(dim=2)
         return Flow(vectors.where(valid[..., None], 0.0), valid)
@@ -235,7 +196,7 @@ class MatchingPrior(Prior[SettingsType]):
         Raises:
             PluginError: The estimate has wrong types, shapes or non-finite values.
         """
-        with _at_work(self):
+        with at_work(self):
             answer = self.estimate(first, second)
             _check_matches(answer)
         inside = _inside(answer.first, first) & _inside(answer.second, second)
@@ -255,7 +216,7 @@ class MatchingPrior(Prior[SettingsType]):
 
 
 @contextmanager
-def _at_work(prior: Prior[Any], gradients: bool = False) -> Iterator[None]:
+def at_work(prior: Prior[Any], gradients: bool = False) -> Iterator[None]:
     """`Context.at_work` without gradients, or with gradients if the caller enables them."""
     import torch
 
@@ -263,7 +224,7 @@ def _at_work(prior: Prior[Any], gradients: bool = False) -> Iterator[None]:
         yield
 
 
-def _check_shape(what: str, answer: Any, shape: tuple[int, ...]) -> None:
+def check_shape(what: str, answer: Any, shape: tuple[int, ...]) -> None:
     from torch import Tensor
 
     got = tuple(answer.shape) if isinstance(answer, Tensor) else type(answer).__name__
@@ -271,7 +232,7 @@ def _check_shape(what: str, answer: Any, shape: tuple[int, ...]) -> None:
         raise PluginError(f"the {what} is {got}, expected a tensor of shape {shape}")
 
 
-def _check_finite(what: str, answer: Tensor) -> None:
+def check_finite(what: str, answer: Tensor) -> None:
     if not answer.isfinite().all():
         raise PluginError(f"the {what} has values that are not finite")
 
@@ -287,14 +248,14 @@ def _check_matches(answer: Any) -> None:
         raise PluginError(f"the answer is a {type(answer).__name__}, expected Matches")
     count = next(iter(getattr(answer.scores, "shape", ())), 0)
     for name, shape in (("first", (count, 2)), ("second", (count, 2)), ("scores", (count,))):
-        _check_shape(f"matches' {name}", getattr(answer, name), shape)
-        _check_finite(f"matches' {name}", getattr(answer, name))
+        check_shape(f"matches' {name}", getattr(answer, name), shape)
+        check_finite(f"matches' {name}", getattr(answer, name))
 
 
 def _checked_depth(answer: Any, image: Tensor) -> DepthMap:
     """The map with zeros where depth or confidence is unknown."""
     for name in ("depth", "valid", "confidence"):
-        _check_shape(name, getattr(answer, name, None), tuple(image.shape[:2]))
+        check_shape(name, getattr(answer, name, None), tuple(image.shape[:2]))
     depth, confidence = answer.depth.detach().float(), answer.confidence.detach().float()
     valid = answer.valid & depth.isfinite() & (depth > 0) & confidence.isfinite()
     return DepthMap(depth.where(valid, 0.0), valid, confidence.clamp(0, 1).where(valid, 0.0))

@@ -13,7 +13,7 @@ from ..contract.component import SettingsType
 from ..contract.prior import Prior
 from ..errors import PluginError
 from ..toolkit.drawing.pictures import nearness_picture
-from .capabilities import _check_shape
+from .capabilities import check_shape
 from .prior_cache import cached
 
 if TYPE_CHECKING:
@@ -146,11 +146,11 @@ class PosedDepthPrior(Prior[SettingsType]):
             raise PluginError(f"the answer has a {type(answer).__name__}, expected a `PosedDepth`")
         height, width = image.shape[:2]
         for name in ("depth", "confidence"):
-            _check_shape(name, getattr(answer, name), (height, width))
-        _check_shape("intrinsics", answer.intrinsics, (3, 3))
+            check_shape(name, getattr(answer, name), (height, width))
+        check_shape("intrinsics", answer.intrinsics, (3, 3))
         pose = torch.eye(4, dtype=torch.float64)
         given = answer.world_to_camera
-        _check_shape(
+        check_shape(
             "world_to_camera",
             given,
             (4 if len(getattr(given, "shape", ())) and len(given) == 4 else 3, 4),

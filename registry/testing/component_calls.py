@@ -30,6 +30,7 @@ from ..errors import PluginError
 from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
+    GaussiansPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -69,17 +70,20 @@ def _prior(bench: Bench, built: Any) -> Any:
     images = [view.image for view in views]
     if isinstance(built, PosedDepthPrior):
         return _posed_depths(bench, built)
+    answers = []
     for base, method, given in (
         (StereoPrior, "both", images),
         (MultiViewDepthPrior, "depths", [views, bench.scene.bounds]),
-        (MonocularDepthPrior, "inverse_depth", images[:1]),
+        (MonocularDepthPrior, "depth", images[:1]),
+        (MonocularDepthPrior, "depth_of", [views[0], bench.scene.points]),
         (OpticalFlowPrior, "flow", images),
         (MatchingPrior, "matches", images),
+        (GaussiansPrior, "gaussians", [views, bench.scene.bounds]),
     ):
         if isinstance(built, base):
             with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
-                return bench.call(getattr(built, method), *given)
-    return capability
+                answers.append(bench.call(getattr(built, method), *given))
+    return answers or capability
 
 
 def _posed_depths(bench: Bench, built: PosedDepthPrior[Any]) -> Any:

@@ -31,6 +31,7 @@ _VERBS = {
     "explain": "verbs.components.explain:Explain",
     "export": "verbs.export:Export",
     "init": "verbs.init:Init",
+    "models": "verbs.models.verb:Models",
     "new-plugin": "verbs.new_plugin.verb:NewPlugin",
     "next": "verbs.next_views.verb:Next",
     "plugins": "verbs.components.plugins:ListPlugins",

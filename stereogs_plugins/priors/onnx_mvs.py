@@ -14,6 +14,7 @@ from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.toolkit.networks import OnnxModel, OnnxModelSettings
 from registry.toolkit.networks.image_fitting import ValueRange
 from registry.toolkit.progress import tracked
+from registry.toolkit.views import sources_by_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,11 +23,6 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Camera
     from registry.toolkit.networks.image_fitting import Fit
-
-_GRID = (24, 18)
-"""Columns and rows of the grid on which the overlap of two views is counted."""
-_DEPTHS = 6
-"""Number of depths for that, evenly spaced in inverse depth."""
 
 _log = logging.getLogger("stereogs.onnx_mvs")
 
@@ -226,7 +222,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         """Depth of one view from those among `views` that overlap it; see `estimate`."""
         import torch
 
-        sources, others = by_overlap(view, views, bounds, self.settings.min_overlap)
+        sources, others = sources_by_overlap(view, views, bounds, self.settings.min_overlap)
         if self._views is not None:
             return self._depth([view, *[*sources, *others][: self._views - 1]], bounds)
         if sources:
@@ -276,42 +272,6 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
             small = (max(1, round(image[0] * factor)), max(1, round(image[1] * factor)))
             wanted = stretched(small, wanted, multiple).target
         return stretched(image, wanted, multiple)
-
-
-def by_overlap(
-    view: TrainingView,
-    views: Sequence[TrainingView],
-    bounds: tuple[float, float],
-    min_overlap: float,
-) -> tuple[list[TrainingView], list[TrainingView]]:
-    """The other views with at least `min_overlap`, and those with less; nearest cameras first."""
-    center = view.camera.center
-    others = sorted(
-        (other for other in views if other is not view),
-        key=lambda other: float((other.camera.center - center).norm()),
-    )
-    sources = [o for o in others if overlap(view.camera, o.camera, bounds) >= min_overlap]
-    return sources, [other for other in others if other not in sources]
-
-
-def overlap(camera: Camera, other: Camera, bounds: tuple[float, float]) -> float:
-    """Share of a camera's pixels in [0, 1] that another may see too, over depths between the bounds.
-
-    Occlusion is unknown, so this is an upper bound.
-    """
-    import torch
-
-    from core_rasterizer.matching import seen_by_any
-
-    columns, rows = _GRID
-    small = camera.resized(columns, rows)
-    near, far = bounds
-    inverse_depths = torch.linspace(1 / near, 1 / far, _DEPTHS, dtype=torch.float64).tolist()
-    shares = [
-        float(seen_by_any(torch.full((rows, columns), 1 / inverse), small, [other]).float().mean())
-        for inverse in inverse_depths
-    ]
-    return sum(shares) / len(shares)
 
 
 @hookimpl

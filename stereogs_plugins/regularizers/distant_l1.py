@@ -46,7 +46,8 @@ class DistantL1(Regularizer[DistantL1Settings]):
         view = step.view
         if view.name not in self._far:
             prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
-            self._far[view.name] = farthest(prior.inverse_depth_of(view), self.settings.share)
+            found = prior.depth_of(view, step.scene.points)
+            self._far[view.name] = farthest(found.farness, found.valid, self.settings.share)
         difference = (step.rendering.rgb.clamp(0, 1) - step.sample.target).abs()
         far = at_size(self._far[view.name], *difference.shape[:2])
         if step.sample.weights is not None:
@@ -54,15 +55,20 @@ class DistantL1(Regularizer[DistantL1Settings]):
         return (difference * far[:, :, None]).mean()
 
 
-def farthest(inverse: Tensor, share: float) -> Tensor:
-    """Return the mask of the farthest pixels, `[H, W]` bool, including ties.
+def farthest(farness: Tensor, valid: Tensor | None, share: float) -> Tensor:
+    """Return the mask of the farthest valid pixels, `[H, W]` bool, including ties.
 
     Args:
-        inverse: `[H, W]` inverse depth.
-        share: share of the pixels.
+        farness: `[H, W]`, larger = farther.
+        valid: `[H, W]` bool; None where all are.
+        share: share of the valid pixels.
     """
-    count = max(1, round(share * inverse.numel()))
-    return inverse <= inverse.flatten().kthvalue(count).values
+    known = farness.flatten() if valid is None else farness[valid]
+    if not len(known):
+        return farness > farness
+    count = max(1, round(share * len(known)))
+    far = farness >= -(-known).kthvalue(count).values
+    return far if valid is None else far & valid
 
 
 @hookimpl

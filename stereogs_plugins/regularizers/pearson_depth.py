@@ -21,7 +21,7 @@ from registry import (
     Step,
     hookimpl,
 )
-from registry.priors import MonocularDepthPrior
+from registry.priors import MonocularDepth, MonocularDepthPrior
 from registry.toolkit.images import at_size
 from registry.toolkit.views import SOLID, virtual_views
 
@@ -40,7 +40,8 @@ class PearsonDepthSettings(Settings):
     (FSGS's code on LLFF), between two neighbours (its paper), or on a sphere."""
     offset: float | None = Field(None, gt=0, allow_inf_nan=False)
     """Also correlate with 1 / (inverse depth + offset), and use the better fit; FSGS: 200 for training
-    views, in the units of DPT. null only correlates with minus the inverse depth."""
+    views, in the units of DPT. null only correlates with minus the inverse depth. Priors that estimate depth,
+    or inverse depth without offset, do not need it."""
     ramp_start: int = Field(0, ge=0)
     """Iteration after which the loss factor grows from 0 to 1."""
     ramp_length: int = Field(0, ge=0)
@@ -50,9 +51,10 @@ class PearsonDepthSettings(Settings):
 class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """1 - Pearson's correlation of rendered depth z and the prior's depth, over the pixels of a view.
 
-    z is as blended, not divided by alpha. The loss is 0 if either map is constant. For photographs with alpha
-    only `solid` pixels are used, and in virtual views only opaque pixels of the render: empty pixels have
-    depth 0 and semi-transparent rims are too near, and the loss would fill both with fog.
+    z is as blended, not divided by alpha. The loss is 0 if either map is constant. Only pixels that the prior
+    calls valid are used, for photographs with alpha only `solid` ones, and in virtual views only opaque
+    pixels of the render: empty pixels have depth 0 and semi-transparent rims are too near, and the loss would
+    fill both with fog.
     """
 
     needs_priors = ("monocular_depth",)
@@ -60,7 +62,7 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
 
     def __init__(self, settings: PearsonDepthSettings, context: Context) -> None:
         super().__init__(settings, context)
-        self._known: dict[str, Tensor] = {}
+        self._known: dict[str, MonocularDepth] = {}
 
     def loss(self, step: Step) -> Tensor:
         """Return the loss, in [0, 2] times the ramp.
@@ -68,29 +70,35 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         Raises:
             PluginError: the prior is missing; or inverse depth plus `offset` is not positive.
         """
-        depth, inverse, shown = self._maps(step)
+        depth, estimate, shown = self._maps(step)
+        size = tuple(depth.shape)
+        values, farness = at_size(estimate.values, *size), at_size(estimate.farness, *size)
+        if estimate.valid is not None:
+            valid = at_size(estimate.valid, *size)
+            shown = valid if shown is None else shown & valid
         if shown is not None:
-            depth, inverse = depth[shown], inverse[shown]
-        loss = 1 - correlation(-inverse, depth)
-        if self.settings.offset is not None and inverse.numel():
-            loss = loss.minimum(1 - correlation(reciprocal(inverse, self.settings.offset), depth))
+            depth, values, farness = depth[shown], values[shown], farness[shown]
+        loss = 1 - correlation(farness, depth)
+        shifted = estimate.inverse and estimate.ambiguity == "affine"
+        if self.settings.offset is not None and shifted and values.numel():
+            loss = loss.minimum(1 - correlation(reciprocal(values, self.settings.offset), depth))
         return self._ramp(step.iteration) * loss
 
-    def _maps(self, step: Step) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return rendered depth and the prior's inverse depth, `[H, W]`, and a pixel mask or None."""
+    def _maps(self, step: Step) -> tuple[Tensor, MonocularDepth, Tensor | None]:
+        """Return rendered depth `[H, W]`, the prior's, and a pixel mask of the former's size or None."""
         prior = MonocularDepthPrior.choose(step.priors, self.settings.prior)
         kind = self.settings.views
         if kind != "training":
             rendering = step.render(virtual_views.draw(kind, step.scene, self.generator))
-            inverse = prior.inverse_depth(rendering.rgb.clamp(0, 1))
+            estimate = prior.depth(rendering.rgb.clamp(0, 1))
             empty = any(view.alpha is not None for view in step.scene.train)
-            return rendering.depth, inverse, rendering.alpha.detach() > SOLID if empty else None
+            return rendering.depth, estimate, rendering.alpha.detach() > SOLID if empty else None
         name = step.view.name
         if name not in self._known:
-            self._known[name] = prior.inverse_depth_of(step.view)
+            self._known[name] = prior.depth_of(step.view, step.scene.points)
         depth, solid = step.rendering.depth, step.view.solid
         shown = None if solid is None else at_size(solid, *depth.shape)
-        return depth, at_size(self._known[name], *depth.shape), shown
+        return depth, self._known[name], shown
 
     def _ramp(self, iteration: int) -> float:
         done, length = iteration - self.settings.ramp_start, self.settings.ramp_length

@@ -19,7 +19,7 @@ from registry.testing import check, tiny_scene
 from tests.host import GROUP, Offer, Plugins
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.metrics.lpips_network import onnx_difference, sha256
-from tests.stereogs_plugins.priors import graphs
+from tests.stereogs_plugins.priors import graphs, modules
 from tests.stereogs_plugins.regularizers.stereo_depth.block_matching import BlockMatcher
 from tests.stereogs_plugins.scenes.small_scenes import (
     DTU_VIEWS,
@@ -109,6 +109,9 @@ SHIPPED: dict[str, tuple[Write, ...]] = {
             "max_disparity": 10,
         },
     ),
+    "priors.torch_module": (
+        lambda folder: {"model": modules.saved(folder / "m.pt", modules.Mean())},
+    ),
     "priors.onnx_mvs": (lambda folder: {"model": graphs.pick(folder / "m.onnx", "K", (0, 0, 0))},),
     "priors.onnx_stereo": (lambda folder: {"model": graphs.matcher(folder / "m.onnx")},),
     "priors.onnx_mono": tuple(map(mono_of, ("depth_anything_v2", "dpt"))),
@@ -195,6 +198,7 @@ BY_THEMSELVES: dict[str, tuple[Settings, ...]] = {
 """Settings of components that need no files and no priors."""
 ELSEWHERE = {
     "initializer.flow_epipolar": "initializers/two_view/test_flow_epipolar.py",
+    "initializer.gaussians": "initializers/test_gaussians.py",
     "initializer.matched_points": "initializers/two_view/test_matched_points.py",
     "observers.mlflow": "observers/test_mlflow.py",
     "observers.rerun": "observers/test_rerun.py",

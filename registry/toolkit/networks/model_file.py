@@ -77,8 +77,8 @@ def read_model_file(path: Path, sha256: str | None) -> ModelFile:
         raise PluginError(
             f"the model file cannot be read: {problem}",
             where=str(path),
-            fix="put the file there, or change its path in the pipeline's YAML; files of the ready "
-            "pipelines and their sources: docs/prior_models.md. Models are never downloaded",
+            fix="put the file there, or change its path in the pipeline's YAML; `stereogs models` lists "
+            "the networks of the ready pipelines, and `stereogs models get NAME` obtains one",
         )
     found = hashlib.sha256(content).hexdigest()
     if sha256 is not None and sha256.strip().lower() != found:

@@ -1,4 +1,4 @@
-"""Geometry of views: epipolar distances, flow consistency, angles, values of Gaussians rendered.
+"""Geometry of views: epipolar distances, flow consistency, overlap, angles, values of Gaussians rendered.
 
     from registry.toolkit.views import epipolar_distances, virtual_views
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         flow_in_size as flow_in_size,
     )
     from .light_shares import gathered as gathered, same_model as same_model
+    from .overlap import sources_by_overlap as sources_by_overlap, view_overlap as view_overlap
     from .triangulation import triangulated_points as triangulated_points
     from .view_parameters import ViewParameters as ViewParameters
     from .viewing_angles import subject_of as subject_of, view_angles as view_angles

@@ -74,9 +74,10 @@ class Guess:
 
 @dataclass(frozen=True)
 class Trial:
-    """A tried guess with the score and duration of one prediction."""
+    """A tried guess with its prior, and the score and duration of one prediction."""
 
     guess: Guess
+    prior: Prior[Any]
     score: Score
     seconds: float
 
@@ -129,7 +130,7 @@ def attempt(guess: Guess, truth: Truth, device: Device) -> Trial:
     begin = time.perf_counter()
     with blamed(item):
         result = score(prior, truth)
-    return Trial(guess, result, time.perf_counter() - begin)
+    return Trial(guess, prior, result, time.perf_counter() - begin)
 
 
 def _changed(offer: Offer, settings: dict[str, Any], changes: Sequence[str]) -> dict[str, Any]:
@@ -208,7 +209,8 @@ def score(prior: Prior[Any], truth: Truth) -> Score:
     if isinstance(prior, MultiViewDepthPrior):
         return _depths(prior, truth)
     if isinstance(prior, MonocularDepthPrior):
-        return _order(prior.inverse_depth(first.image), 1 / _depth(first))
+        found = prior.depth(first.image)
+        return _order(-found.farness, 1 / _depth(first), found.valid)
     if isinstance(prior, MatchingPrior):
         return _matches(prior, truth)
     raise PluginError(f"priors of the capability {prior.capability!r} cannot be scored")
@@ -247,11 +249,13 @@ def _depths(prior: MultiViewDepthPrior[Any], truth: Truth) -> Score:
     )
 
 
-def _order(answer: Tensor, expected: Tensor) -> Score:
-    """Score by Spearman's rank correlation, which ignores scale and shift."""
+def _order(answer: Tensor, expected: Tensor, valid: Tensor | None) -> Score:
+    """Score by Spearman's rank correlation of the valid pixels, which ignores scale and shift."""
     from scipy.stats import spearmanr
 
-    if answer.min() == answer.max():
+    if valid is not None:
+        answer, expected = answer[valid], expected[valid]
+    if not answer.numel() or answer.min() == answer.max():
         return Score(1.0, "the same prediction for every pixel")
     correlation = float(spearmanr(answer.ravel().numpy(), expected.ravel().numpy()).statistic)
     return Score(1 - correlation, f"rank correlation {correlation:.2f} with the true inverse depth")

@@ -35,8 +35,9 @@ examples:
 Prints the file's inputs and outputs, tries the settings that each installed prior suggests for the file
 on a rendered room with known depth, and prints errors, seconds and the YAML of the best settings. A file
 does not say what its numbers mean (0..1 or 0..255, depth or inverse depth); wrong settings give plausible
-but wrong results, which only the error reveals. Each answer may take two minutes. Exit status 1 if no
-settings worked.
+but wrong results, which only the error reveals. A multi-view network is run with two and with three views,
+and refused if it is right for one number only. Each answer may take two minutes. Exit status 1 if no settings
+worked.
 """
 
 
@@ -71,6 +72,7 @@ class Priors(Command):
         from registry.toolkit.networks.onnx_model import answers_within
 
         from .prior_trials import guesses, known_truth
+        from .view_counts import fault_of_view_count
 
         output, plugins = console(), Plugins()
         model = OnnxModel(arguments.model)
@@ -80,10 +82,15 @@ class Priors(Command):
         with _quiet_priors(), answers_within(LONGEST):
             truth = known_truth(plugins, device)
             trials = list(_successful(found, truth, device, output))
-        if not trials:
-            output.print("no settings worked")
+            if not trials:
+                output.print("no settings worked")
+                return FAULT
+            best = min(trials, key=lambda trial: trial.score.error)
+            fault = fault_of_view_count(best.prior, model, truth.views, truth.bounds)
+        if fault:
+            output.print(f"\nnot usable with other numbers of views: {fault}")
             return FAULT
-        _print_best(min(trials, key=lambda trial: trial.score.error), output)
+        _print_best(best, output)
         return 0
 
 

@@ -95,9 +95,9 @@ def _script_network(module: torch.jit.ScriptModule, inputs: int, path: Path) -> 
         try:
             with torch.no_grad():
                 answer: Any = module(*images)
-        except RuntimeError as error:
+        except (RuntimeError, torch.jit.Error) as error:
             raise PluginError(
-                f"the network failed: {first_line(error)}",
+                f"the network failed: {str(error).strip().rpartition(chr(10))[2]}",
                 where=str(path),
                 fix="check that it takes images of this size",
             ) from error

@@ -100,7 +100,7 @@ class LPIPS(Metric[LPIPSSettings]):
             return self._known_distance()
         for path in (settings.file, settings.heads):
             if path is not None and not path.expanduser().is_file():
-                return Unavailable(f"the file {path} does not exist; files are not downloaded")
+                return Unavailable(f"the file {path} does not exist; see `stereogs models`")
         network = read_network(settings.file.expanduser(), settings.sha256)
         if settings.heads is None or settings.heads_sha256 is None:
             return _WholeDistance(network, settings.file)
@@ -113,10 +113,10 @@ class LPIPS(Metric[LPIPSSettings]):
         name = self.settings.network
         found = known_files(name)
         if found is None:
-            wanted = KNOWN[name]
+            wanted = KNOWN[name][0]
             return Unavailable(
-                "no network is set: set `file`, `sha256` and, for features, `heads`, or the variable "
-                f"{MODELS_VARIABLE} to a folder with {wanted.network} and {wanted.heads}"
+                f"{MODELS_VARIABLE} is not a folder with {wanted.network} and {wanted.heads}: "
+                "`stereogs models get lpips` writes them; or set `file`, `sha256` and `heads`"
             )
         try:
             heads = read_heads(found.heads, found.heads_sha256, name)

@@ -32,8 +32,8 @@ class Farness:
         """Return the farness of the step's view, at the size of its render.
 
         Returns:
-            `[H, W]` float32 that grows with depth: the depth itself, world units, or minus a monocular
-            prior's inverse depth; and `[H, W]` bool, where it is known. Pixels that are transparent or
+            `[H, W]` float32 that grows with depth: the depth itself, world units, or a monocular prior's
+            `farness`; and `[H, W]` bool, where it is known. Pixels that are transparent or
             semi-transparent in the photograph are unknown.
 
         Raises:
@@ -52,8 +52,11 @@ class Farness:
         view = step.view
         if self._monocular(step.priors):
             prior = MonocularDepthPrior.choose(step.priors, self._prior)
-            farness = -prior.inverse_depth_of(view)
-            return {view.name: (farness, _shown(view, torch.ones_like(farness, dtype=torch.bool)))}
+            found = prior.depth_of(view, step.scene.points)
+            valid = found.valid
+            if valid is None:
+                valid = torch.ones_like(found.values, dtype=torch.bool)
+            return {view.name: (found.farness, _shown(view, valid))}
         multi_view = MultiViewDepthPrior.choose(step.priors, self._prior)
         maps: list[DepthMap] = multi_view.depths(step.scene.train, step.scene.bounds)
         return {

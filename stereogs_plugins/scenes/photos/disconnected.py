@@ -167,7 +167,7 @@ def _networks() -> str:
         return ""
     return (
         f"\nor set {MODELS_VARIABLE} to a folder with ALIKED and LightGlue, networks that match pictures "
-        "farther apart (docs/prior_models.md#networks-that-were-run)"
+        "farther apart (`stereogs models get aliked-lightglue`)"
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from registry import HostDefaults, Percent
 from registry.priors import (
+    GaussiansPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -144,7 +145,7 @@ def test_a_prior_that_is_needed_is_looked_for(shipped: Plugins) -> None:
 def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
     bases = (
         *(StereoPrior, MultiViewDepthPrior, MonocularDepthPrior),
-        *(OpticalFlowPrior, MatchingPrior),
+        *(OpticalFlowPrior, MatchingPrior, GaussiansPrior),
     )
     known = {prior.capability for prior in bases}
     needed = [

@@ -159,7 +159,7 @@ def test_without_a_file_it_says_so(
     monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     answer = build(LPIPS).measure(*images(), None)
     assert isinstance(answer, Unavailable)
-    assert "no network is set" in answer.reason
+    assert "`stereogs models get lpips`" in answer.reason
     chosen = settings(network, save_heads(tmp_path / "heads.npz"))
     for missing in ("file", "heads"):
         metric = build(LPIPS, **{**chosen, missing: tmp_path / "gone"})

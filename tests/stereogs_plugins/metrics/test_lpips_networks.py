@@ -11,7 +11,7 @@ from torch import Tensor
 
 from registry import Unavailable
 from stereogs_plugins.metrics.lpips import LPIPS, ProperLPIPS
-from stereogs_plugins.metrics.lpips.known_files import KNOWN, NetworkName
+from stereogs_plugins.metrics.lpips.known_files import Files, NetworkName, known_files
 from tests.data import models_folder
 from tests.stereogs_plugins.building import build
 
@@ -33,14 +33,20 @@ def images() -> tuple[Tensor, Tensor]:
     return first, (0.2 + 0.7 * first.roll(4, 1)).clamp(0, 1)
 
 
+def installed(network: NetworkName) -> Files:
+    found = known_files(network)
+    if found is None:
+        pytest.skip("set STEREOGS_MODELS and call `stereogs models get lpips`")
+    return found
+
+
 @pytest.mark.parametrize(
     ("metric", "network"), GOLDEN, ids=lambda value: getattr(value, "__name__", value)
 )
 def test_known_networks_measure_what_the_authors_formula_says(
     metric: type[LPIPS], network: NetworkName
 ) -> None:
-    for file in (KNOWN[network].network, KNOWN[network].heads):
-        models_folder(file.parts[0])
+    installed(network)
     score = build(metric, network=network).measure(*images(), None)
     assert score == pytest.approx(GOLDEN[metric, network], abs=1e-5)
 
@@ -48,11 +54,14 @@ def test_known_networks_measure_what_the_authors_formula_says(
 def test_another_file_of_that_name_is_not_measured_with(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = KNOWN["alex"]
-    source = models_folder(known.network.parts[0]).parent
-    for file in (known.network, known.heads):
-        (tmp_path / file).parent.mkdir()
-        shutil.copy(source / file, tmp_path / file)
+    source = installed("alex")
+    known = source._replace(
+        network=source.network.relative_to(models_folder("")),
+        heads=source.heads.relative_to(models_folder("")),
+    )
+    for file, original in ((known.network, source.network), (known.heads, source.heads)):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        shutil.copy(original, tmp_path / file)
     monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
     assert isinstance(build(LPIPS, network="alex").measure(*images(), None), float)
     with (tmp_path / known.network).open("ab") as file_handle:
@@ -64,4 +73,4 @@ def test_another_file_of_that_name_is_not_measured_with(
     (tmp_path / known.heads).unlink()
     answer = build(LPIPS, network="alex").measure(*images(), None)
     assert isinstance(answer, Unavailable)
-    assert str(known.heads) in answer.reason
+    assert "`stereogs models get lpips`" in answer.reason

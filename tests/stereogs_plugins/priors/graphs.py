@@ -249,6 +249,29 @@ def pick(
     return _pick(graph, path, shapes, name, index, ("depth", "conf"), confidence, shrink)
 
 
+def mean_of_sources(path: Path, counted: int | None, *, seen: int = 100) -> Path:
+    """A multi-view network whose depth is 2 plus the mean red of the sources, of the first `seen` ones.
+
+    Args:
+        counted: divide by this number of sources, as an export with it as a constant does; None: by the true
+            number.
+    """
+    graph = Graph()
+    images = graph.input("images", (1, "V", 3, "H", "W"))
+    cameras = [graph.input(name, (1, "V", n, n)) for name, n in (("K", 3), ("cam_T_world", 4))]
+    red = graph("Squeeze", graph.slice(images, 2, 0, 1), graph.constant([2], np.int64))
+    sources = graph.slice(red, 1, 1, 1 + seen)
+    if counted is None:
+        mean = graph("ReduceMean", sources, axes=[1])
+    else:
+        total = graph("ReduceSum", sources, graph.constant([1], np.int64))
+        mean = graph("Div", total, graph.constant(float(counted)))
+    for camera in cameras:  # an unused input would be removed
+        mean = graph("Add", mean, graph("Mul", graph("ReduceMax", camera), graph.constant(0.0)))
+    graph.output("depth", graph("Add", mean, graph.constant(2.0)), (1, 1, "H", "W"))
+    return graph.save(path)
+
+
 def pick_staged(path: Path, name: str, index: Sequence[int]) -> Path:
     """The same in MVSFormer's form."""
     shapes: dict[str, Shape] = {

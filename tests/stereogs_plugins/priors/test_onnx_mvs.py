@@ -12,7 +12,8 @@ import torch
 from core_rasterizer import Camera
 from registry import PluginError, View
 from registry.priors import DepthMap
-from stereogs_plugins.priors.onnx_mvs import OnnxMvs, overlap, stereogs_register_priors
+from registry.toolkit.views import view_overlap
+from stereogs_plugins.priors.onnx_mvs import OnnxMvs, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs
 
@@ -191,10 +192,12 @@ def test_a_view_without_overlap_is_not_a_source(tmp_path: Path) -> None:
 def test_overlap_of_shifted_cameras() -> None:
     pose = torch.eye(4, dtype=torch.float64)
     camera = Camera(pose, 50.0, 50.0, 25.0, 20.0, 50, 40)
-    assert overlap(camera, camera, BOUNDS) == 1
+    assert view_overlap(camera, camera, BOUNDS) == 1
     # Half the width of what is seen at the distance 2, to the right: half is left.
-    assert overlap(camera, camera.shifted_right(1.0), (2.0, 2.0)) == pytest.approx(0.5, abs=0.05)
-    assert overlap(camera, camera.shifted_right(100.0), BOUNDS) == 0
+    assert view_overlap(camera, camera.shifted_right(1.0), (2.0, 2.0)) == pytest.approx(
+        0.5, abs=0.05
+    )
+    assert view_overlap(camera, camera.shifted_right(100.0), BOUNDS) == 0
 
 
 def test_depth_of_low_confidence_is_unknown(tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ import pytest
 
 from stereogs_plugins.priors import onnx_mono, onnx_mvs
 from stereogs_plugins.priors.onnx_stereo import families as stereo_families
-from tests.host import LPIPS_FILES, Plugins, parse_pipeline
+from tests.host import Plugins, parse_pipeline
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
-NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow")
+NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow", "torch_module")
 HEAD = "name: example\nscene: {use: llff, path: fern, train_views: 3}\n"
 EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 
@@ -40,15 +40,7 @@ def test_its_pipelines_are_understood(
 
 
 def test_there_is_an_example_of_each_prior() -> None:
-    assert sorted(set(re.findall(r"use: (onnx_\w+)", TEXT))) == sorted(NAMES)
-
-
-def test_the_networks_of_lpips_are_those_of_the_code() -> None:
-    for files in LPIPS_FILES.values():
-        for path, sha256 in ((files.network, files.sha256), (files.heads, files.heads_sha256)):
-            (line,) = [line for line in TEXT.splitlines() if f"{path.name}`" in line]
-            assert line.startswith(f"| `{path.parent.as_posix()}/")
-            assert sha256[:8] in line
+    assert sorted(set(re.findall(r"use: (onnx_\w+|torch_module)", TEXT))) == sorted(NAMES)
 
 
 def row(name: str) -> str:

@@ -8,7 +8,7 @@ import torch
 from core_rasterizer import Rendering
 from registry import Step
 from registry.testing import check
-from stereogs_plugins.regularizers.distant_l1 import DistantL1
+from stereogs_plugins.regularizers.distant_l1 import DistantL1, farthest
 from tests.stereogs_plugins.building import build, some_gaussians, step_with
 from tests.stereogs_plugins.regularizers.monocular import Brightness
 
@@ -46,3 +46,11 @@ def test_the_prior_is_asked_once_for_each_photograph() -> None:
     for _ in range(3):
         term.loss(seen(step, torch.zeros(48, 64, 3)))
     assert prior.asked == 1
+
+
+def test_pixels_that_the_prior_does_not_know_are_not_far() -> None:
+    farness = torch.tensor([[1.0, 2.0, 3.0, 9.0]])
+    assert farthest(farness, None, 0.5).tolist() == [[False, False, True, True]]
+    valid = torch.tensor([[True, True, True, False]])
+    assert farthest(farness, valid, 0.3).tolist() == [[False, False, True, False]]
+    assert not farthest(farness, ~valid & valid, 0.5).any()

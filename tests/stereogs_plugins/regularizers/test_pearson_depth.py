@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from core_rasterizer import Model, open_device
-from registry import PluginError, Step
+from registry import PluginError, Settings, Step
+from registry.priors import MonocularDepth, MonocularDepthPrior
 from registry.testing import check, step_of, tiny_scene
 from registry.toolkit.views import SOLID, virtual_views
 from stereogs_plugins.regularizers.pearson_depth import PearsonDepth, correlation
@@ -23,7 +25,7 @@ def random(*shape: int) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
 
 
-def moment(prior: Brightness) -> tuple[Step, Model]:
+def moment(prior: MonocularDepthPrior[Any]) -> tuple[Step, Model]:
     scene, settings = tiny_scene(), TrainingSettings(sh_degree=0)
     assert scene.points is not None
     model = new_model(initial_gaussians(scene.points, settings), settings, open_device())
@@ -54,15 +56,15 @@ def test_what_is_constant_agrees_with_everything_and_pulls_at_nothing() -> None:
 
 def fitted(
     offset: float | None,
-    inverse: torch.Tensor = INVERSE,
+    inverse: torch.Tensor | MonocularDepth = INVERSE,
     iteration: int = 10,
     alpha: torch.Tensor | None = None,
     **s: int,
 ) -> float:
     """The term for the depth and inverse depth above."""
 
-    class Known(Brightness):
-        def estimate(self, image: torch.Tensor) -> torch.Tensor:
+    class Known(MonocularDepthPrior[Settings]):
+        def estimate(self, image: torch.Tensor) -> torch.Tensor | MonocularDepth:
             return inverse
 
     step, model = moment(build(Known))
@@ -93,6 +95,20 @@ def test_of_an_object_before_nothing_only_the_object_counts() -> None:
     assert fitted(1.0, alpha=alpha) == pytest.approx(best, rel=1e-4)
     assert fitted(1.0, INVERSE - 4, alpha=(INVERSE > 4).float()) > 0  # the offset suits what counts
     assert fitted(1.0, alpha=torch.zeros(2, 3)) == 0
+
+
+def test_only_valid_pixels_count_and_what_is_unknown_of_the_values_decides_the_form() -> None:
+    valid = torch.tensor([[True, True, True], [False, True, True]])
+    z, m = DEPTH[valid].numpy(), INVERSE[valid].numpy()
+    partly = MonocularDepth(INVERSE, valid=valid)
+    assert fitted(None, partly) == pytest.approx(1 - np.corrcoef(-m, z)[0, 1], rel=1e-4)
+    assert fitted(1.0, MonocularDepth(INVERSE, valid=torch.zeros(2, 3))) == 0
+    for exact in (
+        MonocularDepth(3 / DEPTH, ambiguity="scale"),
+        MonocularDepth(3 * DEPTH - 2, inverse=False),
+    ):
+        assert fitted(200.0, exact) == pytest.approx(0, abs=1e-6)
+    assert fitted(None, 3 / DEPTH) > 0.01
 
 
 def test_in_virtual_views_of_an_object_what_is_rendered_solid_counts() -> None:

@@ -1,7 +1,7 @@
 """Matches by the networks ALIKED and LightGlue, for photographs that SIFT does not match.
 
 ALIKED (Zhao et al. 2023) finds keypoints, LightGlue (Lindenberger et al., ICCV 2023) matches them. The files
-are read from the model folder if it has them, checked by hash (docs/prior_models.md), and never downloaded.
+are read from the model folder if it has them (`stereogs models`), checked by hash, and never downloaded.
 Their matches are added to those of SIFT, which are more exact.
 """
 

@@ -31,8 +31,7 @@ def test_a_missing_file_is_explained(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="cannot be read") as caught:
         OnnxModel(tmp_path / "none.onnx")
     assert caught.value.what.endswith("cannot be read: No such file or directory")
-    assert "docs/prior_models.md" in caught.value.fix
-    assert "never downloaded" in caught.value.fix
+    assert "`stereogs models get NAME`" in caught.value.fix
     with pytest.raises(PluginError, match="cannot be read"):
         OnnxModel(tmp_path)
 

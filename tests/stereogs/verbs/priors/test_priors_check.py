@@ -125,6 +125,42 @@ def test_a_file_that_no_settings_can_run_is_an_error(tmp_path: Path, capsys: Cap
     assert main(["priors", "check", str(tmp_path / "none.onnx")]) == 2
 
 
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize(
+    ("counted", "seen", "arguments", "fault"),
+    [
+        (None, 100, [], ""),
+        (1, 100, [], "a copy of the second view as third changes the depth by"),
+        (None, 1, [], "the depth does not depend on the third view"),
+        (1, 100, ["--set", "max_sources=1"], ""),
+        (None, 1, ["--set", "max_sources=1"], ""),
+    ],
+)
+def test_a_constant_number_of_views_is_refused(
+    tmp_path: Path,
+    capsys: Capture,
+    counted: int | None,
+    seen: int,
+    arguments: list[str],
+    fault: str,
+) -> None:
+    path = graphs.mean_of_sources(tmp_path / "m.onnx", counted, seen=seen)
+    options = ["--set", "value_range=0..255", *arguments]
+    assert main(["priors", "check", str(path), *options]) == (1 if fault else 0)
+    said = capsys.readouterr().out
+    assert fault in said
+    assert ("max_sources: 1" in said) == (bool(fault) or "max_sources=1" in arguments)
+    assert ("priors:" in said) is not bool(fault)
+
+
+@pytest.mark.usefixtures("_small")
+def test_a_graph_for_two_views_gets_two(tmp_path: Path) -> None:
+    assert (
+        main(["priors", "check", str(graphs.pick(tmp_path / "p.onnx", "K", (0, 0, 0), views=2))])
+        == 0
+    )
+
+
 def test_ground_truth_matches_the_other_view(small_row: Scene) -> None:
     first, second = small_row.train[:2]
     truth = truth_of(small_row.train, small_row.bounds)

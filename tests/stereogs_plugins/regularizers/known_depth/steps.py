@@ -7,7 +7,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, GaussianModel, Rendering, open_device
 from registry import Context, Scene, Settings, Step, View
-from registry.priors import DepthMap, MonocularDepthPrior
+from registry.priors import DepthMap, MonocularDepth, MonocularDepthPrior
 from registry.testing import step_of
 from tests.stereogs_plugins.building import some_gaussians
 
@@ -15,15 +15,15 @@ from tests.stereogs_plugins.building import some_gaussians
 class FixedInverseDepth(MonocularDepthPrior[Settings]):
     """Answers with one map, and counts how often it is asked."""
 
-    answer: Tensor
+    answer: Tensor | MonocularDepth
     asked = 0
 
-    def estimate(self, image: Tensor) -> Tensor:
+    def estimate(self, image: Tensor) -> Tensor | MonocularDepth:
         self.asked += 1
         return self.answer
 
 
-def fixed(inverse_depth: Tensor) -> FixedInverseDepth:
+def fixed(inverse_depth: Tensor | MonocularDepth) -> FixedInverseDepth:
     prior = FixedInverseDepth(Settings(), Context("fixed", 0, open_device()))
     prior.answer = inverse_depth
     return prior
@@ -33,7 +33,7 @@ def step_with_depth(
     depth: Tensor,
     *,
     maps: dict[str, DepthMap] | None = None,
-    inverse_depth: Tensor | None = None,
+    inverse_depth: Tensor | MonocularDepth | None = None,
     bounds: tuple[float, float] = (1.0, 4.0),
 ) -> Step:
     """A step that renders `depth` `[H, W]`; the monocular prior, if asked, knows `inverse_depth`."""

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 import torch
 
+from registry.priors import MonocularDepth
 from registry.testing import check
 from stereogs_plugins.regularizers.known_depth import DepthRanking
 from tests.stereogs_plugins.building import build
@@ -27,6 +28,17 @@ def test_a_right_order_costs_nothing_and_a_wrong_one_the_difference() -> None:
     assert float(build(DepthRanking, **ranking).loss(right)) == 0
     # Two uniform columns are a third of the range apart on average; sqrt(near far) is 2.
     assert float(build(DepthRanking, **ranking).loss(wrong)) == pytest.approx(1 / 3 / 2, rel=0.03)
+
+
+def test_depth_with_a_mask_is_compared_where_it_is_valid() -> None:
+    ranking = {"reach": None, "margin": 0.0, "continuity": 0.0}
+    wrong = -SLOPE.clone()
+    wrong[:, 20:] = SLOPE[:, 20:]
+    right_half = torch.arange(40).expand(30, 40) >= 20
+    for valid, loss_is_zero in ((right_half, True), (~right_half, False), (None, False)):
+        found = MonocularDepth(wrong, inverse=False, valid=valid)
+        step = step_with_depth(SLOPE, inverse_depth=found)
+        assert (float(build(DepthRanking, **ranking).loss(step)) == 0) == loss_is_zero
 
 
 def test_margin_and_continuity_are_those_of_sparsenerf() -> None:

@@ -1,0 +1,1 @@
+"""`stereogs models`: the networks that pipelines, metrics and the documentation name."""

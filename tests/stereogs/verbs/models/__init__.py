@@ -1,0 +1,1 @@
+"""Tests of `stereogs.verbs.models`, which import its modules."""
