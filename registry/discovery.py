@@ -34,7 +34,9 @@ GROUP = "stereogs.plugins"
 SELECTION = "STEREOGS_PLUGINS"
 """Environment variable: unset = every installed plugin, empty = none, else entry names by commas."""
 
-SCENE, CONFIDENCE = (p for p in HOOK_POINTS if p.section in ("scene", "confidence"))
+SCENE, PRIORS, CONFIDENCE = (
+    point for point in HOOK_POINTS if point.section in ("scene", "priors", "confidence")
+)
 """The hook points of scene loaders and of confidence estimators."""
 OWN_PACKAGE = "stereogs-plugins"
 _log = logging.getLogger(__name__)

@@ -94,6 +94,7 @@ if TYPE_CHECKING:
         MonocularDepth as MonocularDepth,
         MonocularDepthPrior as MonocularDepthPrior,
         MultiViewDepthPrior as MultiViewDepthPrior,
+        NormalPrior as NormalPrior,
         OpticalFlowPrior as OpticalFlowPrior,
         PosedDepth as PosedDepth,
         PosedDepthPrior as PosedDepthPrior,

@@ -4,23 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from registry.discovery import SCENE, Plugins
+from registry.discovery import PRIORS, SCENE, Plugins
 from registry.errors import SceneError
-from registry.pipeline.pipeline import Item, load_pipeline
+from registry.pipeline.pipeline import Item, Pipeline, load_pipeline, with_named_priors
 from registry.pipeline.ready import is_pipeline_file, ready_pipelines
 from registry.pipeline.settings_check import escape_variables
 from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
+from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Node
 from registry.recognition import recognize
 
+if TYPE_CHECKING:
+    from core_rasterizer import Device, Engine
+    from registry import Scene
+
 
 class FoundLoader(NamedTuple):
-    """A scene loader with its settings, and the seed of the run that it would load for."""
+    """The loader of a pipeline; of a folder, a pipeline of the loader and the priors that it names."""
 
-    item: Item
-    seed: int = 0
+    pipeline: Pipeline
+
+    @property
+    def item(self) -> Item:
+        """The loader with its settings."""
+        return self.pipeline.one(SCENE.section)
+
+    def load(self, device: Device | Engine) -> Scene:
+        """Load and validate the scene."""
+        from registry.pipeline.parts import Parts, load_scene
+
+        return load_scene(Parts(self.pipeline, device).one(SCENE.section))
 
 
 def find_loader(
@@ -42,7 +57,12 @@ def find_loader(
             recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
         )
         path = Node(escape_variables(str(data)), COMMAND_LINE)
-        return FoundLoader(single_item(offer, changes, {"path": path}))
+        loader = single_item(offer, changes, {"path": path})
+        items = {
+            SCENE.section: (loader,),
+            PRIORS.section: with_named_priors(loader, (), plugins),
+        }
+        return FoundLoader(Pipeline(offer.name, items, TrainingSettings()))
     if format_name is not None:
         raise SceneError(
             "a pipeline file names its own loader",
@@ -50,5 +70,4 @@ def find_loader(
             fix="leave --format out, or give the folder of the data",
         )
     overrides = [qualified(text, SCENE.section) for text in changes]
-    pipeline = load_pipeline(data, plugins, overrides=overrides)
-    return FoundLoader(pipeline.one(SCENE.section), pipeline.training.seed)
+    return FoundLoader(load_pipeline(data, plugins, overrides=overrides))

@@ -136,10 +136,8 @@ def load_scene(
         elif changes:
             fix = "give the changes to build_pipeline"
             raise PipelineError("the pipeline is already built", fix=fix)
-        found = FoundLoader(source.one("scene"), source.training.seed)
-    from registry.pipeline.parts import build_part, load_scene as load_part
-
-    return load_part(build_part(found.item, found.seed, find_device(device)))
+        found = FoundLoader(source)
+    return found.load(find_device(device))
 
 
 def scene_from_arrays(

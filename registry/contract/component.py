@@ -47,6 +47,11 @@ class Settings(pydantic.BaseModel):
 SettingsType = TypeVar("SettingsType", bound=Settings, default=Settings)
 
 
+def no_priors(base: type[Any]) -> Mapping[str, Any]:
+    """Return no priors: `Context.priors` without a pipeline."""
+    return {}
+
+
 @dataclass(frozen=True)
 class Context:
     """Data that the host passes to a component's constructor.
@@ -58,12 +63,15 @@ class Context:
         device: the OpenCL device of the run.
         at_work: returns a context in which errors are attributed to this component rather than to its
             caller; see `Prior`.
+        priors: for scene loaders, returns the pipeline's priors of a base class by name, constructed on
+            first use: `context.priors(PosedDepthPrior)`.
     """
 
     name: str
     seed: int
     device: Device
     at_work: Callable[[], AbstractContextManager[None]] = nullcontext
+    priors: Callable[[type[Any]], Mapping[str, Any]] = no_priors
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,6 +47,15 @@ class SceneLoader(Component[SettingsType], ABC):
         """
         return settings
 
+    @classmethod
+    def priors_of(cls, settings: SettingsType) -> Mapping[str, str]:
+        """Return the priors that the settings name, with the capability of each; none by default.
+
+        The host adds those that are installed and not in the pipeline. `load` gets them from
+        `context.priors`.
+        """
+        return {}
+
     @abstractmethod
     def load(self) -> Scene:
         """Return the scene that the settings describe, in the coordinates of its files.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, replace
@@ -18,10 +18,11 @@ from ..calls.call import call, calling
 from ..calls.policy import Checks, in_loop, outside_loop, plugins_are_checked, within_another
 from ..calls.read_only_guard import NOTHING, ReadOnlyGuard
 from ..contract.checks.answers import check_carried, check_state
-from ..contract.component import Component, Context
+from ..contract.component import Component, Context, no_priors
 from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
 from ..contract.scene import Scene
+from ..discovery import SCENE
 from ..errors import RunError
 from ..toolkit.progress.stages import progress
 from .pipeline import Item, Pipeline
@@ -131,7 +132,15 @@ class Parts:
             and known.component.context.seed == derived_seed(seed, item.qualified_name)
         ):
             return replace(known, item=item)
-        return build_part(item, seed, self.device)
+        if item.point is not SCENE:
+            return build_part(item, seed, self.device)
+        return build_part(item, seed, self.device, priors=lambda base: self._priors(base))
+
+    def _priors(self, base: type[Any]) -> Mapping[str, Prior[Any]]:
+        """The priors of a base class by name; no others are constructed."""
+        built = {part.item.name: part for part in self._parts.get("priors", ())}
+        items = [i for i in self.pipeline.items["priors"] if issubclass(i.offer.component, base)]
+        return {item.name: (built.get(item.name) or self._part(item)).component for item in items}
 
     def __iter__(self) -> Iterator[Part]:
         return (part for section in self.pipeline.items for part in self[section])
@@ -207,12 +216,20 @@ class Parts:
                 part.component.restore(own)
 
 
-def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0) -> Part:
+def build_part(
+    item: Item,
+    seed: int,
+    device: Device | Engine,
+    *,
+    field: int = 0,
+    priors: Callable[[type[Any]], Mapping[str, Any]] = no_priors,
+) -> Part:
     """Build one component, with a seed derived from `seed` and its name.
 
     Args:
         device: the component gets the device of an engine.
         field: number of its field of Gaussians.
+        priors: see `Context`.
 
     Raises:
         PluginError: the constructor failed.
@@ -224,7 +241,7 @@ def build_part(item: Item, seed: int, device: Device | Engine, *, field: int = 0
     def at_work() -> AbstractContextManager[None]:
         return calling(item, own_seed, within_another())
 
-    context = Context(item.name, own_seed, device, at_work)
+    context = Context(item.name, own_seed, device, at_work, priors)
     with at_work():
         component: Component[Any] = item.offer.component(item.settings, context)
     return Part(item, component)

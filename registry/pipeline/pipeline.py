@@ -12,9 +12,10 @@ from typing import Any
 from core_rasterizer.errors import ExplainedError
 
 from ..contract.component import Settings
+from ..contract.components import SceneLoader
 from ..contract.hook_points import PIPELINE_POINTS, HookPoint
-from ..contract.prior import Prior
-from ..discovery import Offer, Plugins
+from ..contract.prior import Prior, chosen_prior
+from ..discovery import PRIORS, SCENE, Offer, Plugins
 from ..errors import PipelineError, PluginError
 from ..messages.suggestions import did_you_mean, listing
 from ..messages.visible_text import is_plain_name
@@ -246,6 +247,10 @@ def checked_pipeline(
         )
         for point in PIPELINE_POINTS
     }
+    for loader in items[SCENE.section]:
+        items["priors"] = with_named_priors(
+            loader, items["priors"], plugins, None if needed is None else missing
+        )
     named = sections.get("name", absent)
     name = plain(named)
     if not is_plain_name(name):
@@ -302,6 +307,41 @@ def _section(
             fix=f"write {point.section}: {{use: ...}}; `stereogs plugins` lists all components",
         )
     return tuple(items.values())
+
+
+def with_named_priors(
+    loader: Item,
+    priors: tuple[Item, ...],
+    plugins: Plugins,
+    missing: dict[str, ExplainedError] | None = None,
+) -> tuple[Item, ...]:
+    """Return the priors, and those that a scene loader names and only their packages offer.
+
+    Args:
+        missing: receives those that cannot be loaded; None: refuse them.
+
+    Raises:
+        ExplainedError: one cannot be loaded, or has another capability than the loader needs.
+    """
+    component = loader.offer.component
+    named = component.priors_of(loader.settings) if issubclass(component, SceneLoader) else {}
+    for name, capability in named.items():
+        try:
+            if all(item.name != name for item in priors):
+                node = Node({"use": Node(name, loader.place)}, loader.place)
+                item = component_item(PRIORS, node, plugins.find, 1)
+                assert item is not None
+                priors = (*priors, item)
+            known = {
+                item.name: getattr(item.offer.component, "capability", None) for item in priors
+            }
+            chosen_prior(known, (capability,), name)
+        except ExplainedError as error:
+            error.where = error.where or str(loader)
+            if missing is None:
+                raise
+            missing.setdefault(f"priors.{name}", error)
+    return priors
 
 
 def _first_complete(point: HookPoint, node: Node, find: Find, iterations: int) -> Item | None:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
         MonocularDepth as MonocularDepth,
         MonocularDepthPrior as MonocularDepthPrior,
     )
+    from .normals import NormalPrior as NormalPrior
     from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
+    from .prior_cache import identity as identity
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

@@ -174,7 +174,9 @@ def _checked(answer: Any, image: Tensor) -> MonocularDepth:
         values=_filled(answer.values.float(), valid, answer.inverse),
         valid=None if valid.all() else valid,
         confidence=_confidence(answer.confidence, valid),
-        normals=None if answer.normals is None else unit_normals(answer.normals, valid),
+        normals=None
+        if answer.normals is None
+        else unit_normals(answer.normals).where(valid[..., None], 0.0),
     )
 
 
@@ -198,10 +200,10 @@ def _confidence(confidence: Tensor | None, valid: Tensor) -> Tensor | None:
     return confidence.detach().float().where(valid, 0.0)
 
 
-def unit_normals(normals: Tensor, valid: Tensor) -> Tensor:
-    """Return normals `[H, W, 3]` of length 1, and 0 where they are not valid, finite or have no length."""
+def unit_normals(normals: Tensor) -> Tensor:
+    """Return normals `[H, W, 3]` of length 1, and 0 where they are not finite or have no length."""
     given = normals.detach().float()
     length = given.norm(dim=2)
-    known = valid & length.isfinite() & (length > 0)
+    known = length.isfinite() & (length > 0)
     unit: Tensor = (given / length[..., None]).where(known[..., None], 0.0)
     return unit

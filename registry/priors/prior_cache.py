@@ -44,12 +44,9 @@ def cached(
         compute: Function that computes the estimate; called without gradients.
         pictures: Function that returns images of the estimate, by file name without suffix.
     """
-    with prior.context.at_work():
-        fingerprint = prior.fingerprint()
+    origin = identity(prior)
     key = content_key(
-        package_digest(type(prior), GROUP),
-        prior.settings.model_dump_json(),
-        fingerprint,
+        origin,
         *arguments,
         *(part for view in views for part in (view.image, view.mask, view.alpha)),
         *(view.weights for view in views if view.weights is not None),
@@ -64,11 +61,17 @@ def cached(
             found = {label: tensor.contiguous() for label, tensor in compute().items()}
         words = [str(argument) for argument in arguments if not isinstance(argument, torch.Tensor)]
         facts = {"views": list(map(stem, views)), "question": words}
-        with prior.context.at_work():
-            complete = prior.fingerprint() == fingerprint
-        if complete:  # else `compute` opened a model, which the key lacks
+        if identity(prior) == origin:  # else `compute` opened a model, which the key lacks
             save_estimate(name, key, found, pictures(found), facts)
     return found
+
+
+def identity(prior: Prior[Any]) -> str:
+    """Return a hash of a prior's code, settings and fingerprint; equal ones answer alike."""
+    with prior.context.at_work():
+        fingerprint = prior.fingerprint()
+    code = package_digest(type(prior), GROUP)
+    return content_key(code, prior.settings.model_dump_json(), fingerprint)
 
 
 def stem(view: TrainingView) -> str:

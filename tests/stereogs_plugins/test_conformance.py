@@ -212,6 +212,8 @@ ELSEWHERE = {
     "regularizers.depth_ranking": "regularizers/known_depth/test_depth_ranking.py",
     "regularizers.distant_l1": "regularizers/test_distant_l1.py",
     "regularizers.field_agreement": "regularizers/unseen_views/test_field_agreement.py",
+    "regularizers.normal_consistency": "regularizers/test_normal_consistency.py",
+    "regularizers.prior_normals": "regularizers/test_normal_consistency.py",
     "regularizers.parameter_l1": "regularizers/test_parameter_l1.py",
     "regularizers.patch_depth": "regularizers/known_depth/test_patch_depth.py",
     "regularizers.pearson_depth": "regularizers/test_pearson_depth.py",

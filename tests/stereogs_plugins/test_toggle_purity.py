@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from importlib.metadata import EntryPoint
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,11 @@ import stereogs
 from core_rasterizer import open_device
 from registry.testing import tiny_scene
 from stereogs import Pipeline
-from tests.host import Offer, Part, Parts, Plugins, Trainer
+from tests.host import GROUP, Offer, Part, Parts, Plugins, Trainer, installed_entries
 from tests.stereogs_plugins.priors import graphs
 
-PLUGINS = Plugins()
+TOY_NORMALS = EntryPoint("toy_normals", "tests.stereogs_plugins.regularizers.toy_normals", GROUP)
+PLUGINS = Plugins([*installed_entries(), TOY_NORMALS])
 
 
 def _takes_part(offer: Offer) -> bool:
@@ -44,6 +46,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "patch_depth": SWEEP,
     "depth_from_initializer": DENSE,
     "forward_warping": DENSE,
+    "prior_normals": {"priors": ["toy_normals"]},
     "field_agreement": TWO_FIELDS,
     "co_pruning": TWO_FIELDS,
 }
@@ -144,8 +147,8 @@ def test_a_component_at_work_draws_from_nobody_elses_numbers(
     calls: list[str] = []
     made, at_work, called = Trainer.__init__, Part.at_work, Part.call
 
-    def remember(self: Trainer, *arguments: Any) -> None:
-        made(self, *arguments)
+    def remember(self: Trainer, *arguments: Any, **named: Any) -> None:
+        made(self, *arguments, **named)
         trainers.append(self)
 
     def watched(self: Part, *arguments: Any, **named: Any) -> AbstractContextManager[None]:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
         flow_in_size as flow_in_size,
     )
     from .light_shares import gathered as gathered, same_model as same_model
+    from .normals import (
+        axis_normals as axis_normals,
+        blended_normals as blended_normals,
+        depth_normals as depth_normals,
+    )
     from .overlap import sources_by_overlap as sources_by_overlap, view_overlap as view_overlap
     from .triangulation import triangulated_points as triangulated_points
     from .view_parameters import ViewParameters as ViewParameters

@@ -11,7 +11,7 @@ from registry import PluginError, RunError
 from registry.calls.process_state import one_torch_thread
 from registry.discovery import SCENE, Plugins
 from registry.messages.suggestions import counted
-from registry.pipeline.parts import build_part, load_scene
+from registry.pipeline.parts import Parts, load_scene
 
 from ..planning.plan import PlannedRun
 
@@ -34,7 +34,7 @@ def check_scenes(runs: Sequence[PlannedRun], device: Device, plugins: Plugins) -
     for run in distinct.values():
         try:
             with one_torch_thread():
-                scene = load_scene(build_part(run.pipeline.one(SCENE.section), run.seed, device))
+                scene = load_scene(Parts(run.pipeline, device).one(SCENE.section))
         except ExplainedError as error:
             failures.append((run.scene, error))
             continue

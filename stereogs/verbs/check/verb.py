@@ -82,7 +82,6 @@ class Check(Command):
             )
             from core_rasterizer import open_device
             from registry.calls.process_state import one_torch_thread
-            from registry.pipeline.parts import build_part, load_scene
             from registry.toolkit.drawing import DRAWN, save_png
             from registry.training.scene_facts import warnings
 
@@ -91,7 +90,7 @@ class Check(Command):
 
             device = open_device(arguments.device)
             with one_torch_thread():
-                scene = load_scene(build_part(found.item, found.seed, device))
+                scene = found.load(device)
         offer = found.item.offer
         output.print(f"{scene.name}, read by the {offer.point.title} {offer.name}")
         known = facts(scene)

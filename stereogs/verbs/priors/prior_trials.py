@@ -19,7 +19,7 @@ from registry.calls.blame import blame as blamed
 from registry.contract.hook_points import HOOK_POINTS
 from registry.discovery import Offer, Plugins
 from registry.pipeline.edits import apply_override
-from registry.pipeline.parts import build_part, load_scene
+from registry.pipeline.parts import build_part
 from registry.pipeline.pipeline import component_item
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
@@ -111,8 +111,7 @@ def guesses(model: OnnxModel, plugins: Plugins, changes: Sequence[str] = ()) -> 
 def known_truth(plugins: Plugins, device: Device) -> Truth:
     """Load the scene that guesses are tried on."""
     with resources.as_file(resources.files(__package__) / "prior_check.yaml") as path:
-        found = find_loader(path, plugins)
-        scene = load_scene(build_part(found.item, found.seed, device))
+        scene = find_loader(path, plugins).load(device)
     return truth_of(scene.train, scene.bounds)
 
 

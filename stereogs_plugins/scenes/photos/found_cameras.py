@@ -14,18 +14,20 @@ import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
 from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
 
-from .photogrammetry.mapping import Piece
+from .photogrammetry.mapping import Piece, placed
 from .photogrammetry.structure_from_motion import Reconstruction
 from .unposed_photos import UnposedPhoto
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from registry.priors import PosedDepthPrior
 
 _SUMMARY = "found.json"
 _FILES = ("cameras.bin", "images.bin", "points3D.bin")
@@ -35,29 +37,42 @@ class FoundCameras(NamedTuple):
     """A reconstruction and the model of its best piece, None without pieces.
 
     The folders of the pieces may have been deleted.
+
+    Args:
+        prior: the one whose cameras were refined; None: cameras by matches alone.
     """
 
     reconstruction: Reconstruction
     model: ColmapModel | None
+    prior: PosedDepthPrior[Any] | None = None
+
+    @property
+    def placed(self) -> int:
+        """Number of photographs in the best piece."""
+        return placed(self.reconstruction.pieces)
 
 
 def remembered_cameras(
-    photos: Sequence[UnposedPhoto], treatment: str, compute: Callable[[Path], Reconstruction]
+    photos: Sequence[UnposedPhoto],
+    treatment: Callable[[], str],
+    compute: Callable[[Path], Reconstruction],
 ) -> FoundCameras:
     """Return the cached result, or run `compute` and cache its result.
 
     Args:
-        treatment: everything other than the photographs that the result depends on.
+        treatment: returns everything other than the photographs that the result depends on. If it changes
+            while `compute` runs, which may open a network, nothing is cached.
         compute: takes an empty folder for the models.
     """
     kept = Cache("cameras")
-    key = _key(photos, treatment)
+    key = _key(photos, treatment())
     found = kept.load(key, _read)
     if found is not None:
         return found
     with tempfile.TemporaryDirectory(prefix="stereogs-") as name:
         reconstruction = compute(Path(name))
-        kept.save(key, lambda folder: _write(reconstruction, folder))
+        if _key(photos, treatment()) == key:
+            kept.save(key, lambda folder: _write(reconstruction, folder))
         return FoundCameras(reconstruction, _model(reconstruction))
 
 

@@ -6,11 +6,11 @@ import logging
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
-from registry import Fact, Scene, SceneLoader, View
+from registry import Fact, Scene, SceneError, SceneLoader, View
 from registry.toolkit import counted
 from registry.toolkit.photos import (
     ColmapModel,
@@ -26,11 +26,15 @@ from registry.toolkit.photos import (
 from .picture_files import COMPANION, is_picture_folder, left_out_lines, reason_lines
 
 if TYPE_CHECKING:
+    from registry.priors import PosedDepthPrior
+
     from .disconnected import LargestGroup
     from .found_cameras import FoundCameras
     from .picture_files import LeftOut
     from .unposed_photos import UnposedPhoto
 
+CAMERA_PRIOR = "posed_depth"
+"""Capability of priors that estimate cameras."""
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -51,6 +55,14 @@ class PhotosSettings(SplitSettings):
     each, which needs many more photographs."""
     matching_size: int = Field(1200, ge=64)
     """Longer side of the photographs for camera estimation, in pixels."""
+    cameras: str | None = None
+    """Prior with the capability "posed_depth" whose cameras matches refine and check. null finds cameras by
+    matches, and tries such a prior of the pipeline for photographs that do not connect."""
+
+    @property
+    def priors(self) -> dict[str, str]:
+        """The prior that is named, with its capability."""
+        return {} if self.cameras is None else {self.cameras: CAMERA_PRIOR}
 
 
 class PhotosScene(SceneLoader[PhotosSettings]):
@@ -62,6 +74,11 @@ class PhotosScene(SceneLoader[PhotosSettings]):
     """
 
     recognized_by: ClassVar[str] = "pictures, and no files of a data set"
+
+    @classmethod
+    def priors_of(cls, settings: PhotosSettings) -> dict[str, str]:
+        """Return the prior in `cameras`."""
+        return settings.priors
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
@@ -85,7 +102,12 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         _warn_of_left_out(folder, other_files)
         names = [photo.name for photo in found]
         cameras = self._find_cameras(found)
-        group = largest_group(cameras, names, str(folder), require_all=settings.require_all_photos)
+        try:
+            group = largest_group(
+                cameras, names, str(folder), require_all=settings.require_all_photos
+            )
+        except SceneError as error:
+            raise _not_confirmed(cameras.prior, error) if cameras.prior else error from None
         _warn_of_disconnected(names, group)
         _warn_of_focal_length(cameras)
         _warn_of_altered(cameras, names)
@@ -106,7 +128,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             _warn_of_exif(group.model, found)
             by_exif = 0
         facts = (
-            Fact("cameras", "found in the photographs by COLMAP"),
+            Fact("cameras", _origin(cameras.prior)),
             Fact("connected", f"{len(placed)} of {len(found)}", affects_scores=False),
             Fact("lenses", len(model.cameras)),
             Fact("turned_upright", sum(photo.turned for photo in found)),
@@ -118,17 +140,81 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         return loaded.scene("photos", folder, bounds, points, facts)
 
     def _find_cameras(self, found: list[UnposedPhoto]) -> FoundCameras:
+        """Return the cameras from those of the prior that is named, or by matches.
+
+        If matches do not connect all photographs, the pipeline's priors are tried, and the cameras of most
+        photographs are returned.
+        """
+        from registry.priors import PosedDepthPrior
+
+        name = self.settings.cameras
+        if name is None:
+            best = self._remembered(found, None)
+            if best.placed < len(found):
+                for prior in self.context.priors(PosedDepthPrior).values():
+                    best = max(
+                        [best, *self._tried(prior, found)], key=lambda cameras: cameras.placed
+                    )
+            return best
+        known = self.context.priors(PosedDepthPrior)
+        if name not in known:
+            raise SceneError(
+                f"the prior {name!r}, whose cameras the scene begins with, is not installed",
+                where=str(self.settings.path),
+                fix="install its package; or leave out `cameras`, to find cameras by matches",
+            )
+        return self._remembered(found, known[name])
+
+    def _tried(self, prior: PosedDepthPrior[Any], found: list[UnposedPhoto]) -> list[FoundCameras]:
+        """Cameras that begin with those of a prior; none if it does not accept so many photographs."""
+        least, most = prior.accepted_views
+        name = prior.context.name
+        if not least <= len(found) <= (most or len(found)):
+            _log.info("the prior %r accepts %d to %s photographs only", name, least, most)
+            return []
+        cameras = self._remembered(found, prior)
+        _log.info(
+            "from the cameras of the prior %r, those of %d of %d photographs fit together",
+            *(name, cameras.placed, len(found)),
+        )
+        return [cameras]
+
+    def _remembered(
+        self, found: list[UnposedPhoto], prior: PosedDepthPrior[Any] | None
+    ) -> FoundCameras:
+        from registry.priors import identity
+
         from .found_cameras import remembered_cameras
         from .photogrammetry.learned_matches import known_files
         from .photogrammetry.structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
-        return remembered_cameras(
+        treatment = f"{settings.matching_size} {settings.share_lens} {known_files() is not None}"
+        estimate = None if prior is None else prior.posed_depths
+        cameras = remembered_cameras(
             found,
-            f"{settings.matching_size} {settings.share_lens} {known_files() is not None}",
-            lambda empty: reconstruct(found, decoder, settings.share_lens, empty),
+            lambda: treatment if prior is None else f"{treatment} {identity(prior)}",
+            lambda empty: reconstruct(found, decoder, settings.share_lens, empty, estimate),
         )
+        return cameras._replace(prior=prior)
+
+
+def _origin(prior: PosedDepthPrior[Any] | None) -> str:
+    """Where cameras come from, for the results."""
+    if prior is None:
+        return "found in the photographs by COLMAP"
+    unit = ", in metres" if prior.metric else ""
+    return f"of the prior {prior.context.name!r}, refined by matches{unit}"
+
+
+def _not_confirmed(prior: PosedDepthPrior[Any], error: SceneError) -> SceneError:
+    name = prior.context.name
+    return SceneError(
+        f"matches do not confirm the cameras of the prior {name!r}: {error.what}",
+        where=error.where,
+        fix=f"leave out `cameras: {name}`, to find cameras by matches; or {error.fix}",
+    )
 
 
 def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:

@@ -72,6 +72,11 @@ class VideoScene(SceneLoader[VideoSettings]):
         return folder.suffix.lower() in VIDEO_SUFFIXES and folder.is_file()
 
     @classmethod
+    def priors_of(cls, settings: VideoSettings) -> dict[str, str]:
+        """Return the prior in `cameras`."""
+        return settings.priors
+
+    @classmethod
     def within(cls, settings: VideoSettings, cpu_seconds: float) -> VideoSettings:
         """Take fewer frames, at least six, unless they were chosen before: then their cameras are known."""
         frames = max(_FEWEST, int(cpu_seconds / _CPU_SECONDS))

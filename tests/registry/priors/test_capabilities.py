@@ -17,6 +17,7 @@ from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
+    NormalPrior,
     OpticalFlowPrior,
     StereoPrior,
 )
@@ -200,3 +201,31 @@ def test_estimates_of_a_wrong_shape_are_refused() -> None:
         built(Crooked).matches(image, image)
     with pytest.raises(PluginError, match="expected a tensor of shape \\(4, 5, 2\\)"):
         built(Narrow).flow(image, image)
+
+
+class Slanted(NormalPrior[Settings]):
+    """Normals of length 5; unknown in the first two pixels."""
+
+    calls = 0
+
+    def estimate(self, image: Tensor) -> Tensor:
+        self.calls += 1
+        normals = torch.tensor([0.0, 3, -4]).expand(image.shape).clone()
+        normals[0, 0] = 0
+        normals[0, 1:2, 0] = torch.nan
+        return normals
+
+
+def test_normals_have_length_one_where_they_are_known_and_are_cached(cache: Path) -> None:
+    view, prior = tiny_scene().train[0], built(Slanted)
+    for _ in range(2):
+        normals = prior.normals_of(view)
+    assert prior.calls == 1
+    assert normals[0, :2].tolist() == [[0, 0, 0], [0, 0, 0]]
+    torch.testing.assert_close(normals[1, 0], torch.tensor([0, 0.6, -0.8]))
+
+
+def test_normals_of_a_wrong_shape_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Slanted, "estimate", lambda self, image: image[..., :2])
+    with pytest.raises(PluginError, match="expected a tensor of shape \\(24, 32, 3\\)"):
+        built(Slanted).normals(tiny_scene().train[0].image)

@@ -13,6 +13,7 @@ from registry.priors import (
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
+    NormalPrior,
     OpticalFlowPrior,
     StereoPrior,
 )
@@ -145,7 +146,7 @@ def test_a_prior_that_is_needed_is_looked_for(shipped: Plugins) -> None:
 def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
     bases = (
         *(StereoPrior, MultiViewDepthPrior, MonocularDepthPrior),
-        *(OpticalFlowPrior, MatchingPrior, GaussiansPrior),
+        *(OpticalFlowPrior, MatchingPrior, GaussiansPrior, NormalPrior),
     )
     known = {prior.capability for prior in bases}
     needed = [

@@ -243,6 +243,54 @@ def map_globally(database: Path, images: Path, folder: Path) -> list[Model]:
     return list(pycolmap.global_mapping(database, images, folder, options).values())
 
 
+def model_from_cameras(database: Path, poses: Sequence[Array], focals: Sequence[float]) -> Model:
+    """Return a model of a database's photographs without points.
+
+    Args:
+        poses: world-to-camera `[3, 4]` of each photograph, by index.
+        focals: in pixels, by index; a lens has the median of its photographs', or its focal length by EXIF.
+    """
+    model = pycolmap.Reconstruction()
+    with open_database(database) as opened:
+        photos = sorted(opened.read_all_images(), key=lambda image: image.image_id)
+        for lens in opened.read_all_cameras():
+            if not lens.has_prior_focal_length:
+                own = [p.name for p in photos if p.camera_id == lens.camera_id]
+                set_focal(lens, float(np.median([focals[image_index(name)] for name in own])))
+            model.add_camera_with_trivial_rig(lens)
+    for photo in photos:
+        pose = poses[image_index(photo.name)]
+        image = pycolmap.Image(name=photo.name, camera_id=photo.camera_id, image_id=photo.image_id)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    return model
+
+
+def triangulated(
+    model: Model, database: Path, images: Path, folder: Path, *, degrees: float, pixels: float
+) -> Model:
+    """Return a model with these cameras, and new points of the verified matches that agree with them.
+
+    Args:
+        images: folder of the photographs, for the colours of points.
+        folder: folder for files that COLMAP writes.
+        degrees, pixels: largest error of the rays and of the positions of a match.
+    """
+    options = pycolmap.IncrementalPipelineOptions(num_threads=1, random_seed=SEED)
+    options.triangulation.ignore_two_view_tracks = False
+    options.triangulation.create_max_angle_error = degrees
+    options.triangulation.continue_max_angle_error = degrees
+    options.triangulation.merge_max_reproj_error = pixels
+    options.triangulation.complete_max_reproj_error = pixels
+    options.mapper.filter_max_reproj_error = pixels
+    return pycolmap.triangulate_points(model, database, images, folder, options=options)
+
+
+def scale(model: Model, factor: float) -> Model:
+    """Multiply a model's positions by a factor, in place; return it."""
+    model.transform(pycolmap.Sim3d(factor, pycolmap.Rotation3d(), np.zeros(3)))
+    return model
+
+
 # Bundle adjustment
 
 

@@ -19,9 +19,12 @@ from registry.toolkit.progress import progress
 from . import thresholds
 from .colmap import index_of, map_globally, map_incrementally
 from .focal_lengths import is_plausible
+from .network_start import refined_start
 from .support import drop_unsupported, is_contradicted
 
 if TYPE_CHECKING:
+    from registry.priors import PosedDepth
+
     from .colmap import Model
     from .support import Confirms
     from .thresholds import Trust
@@ -52,6 +55,7 @@ def place_cameras(
     focals: Sequence[float | None],
     trust: Trust,
     confirms: Confirms,
+    start: Sequence[PosedDepth] | None = None,
 ) -> list[Piece]:
     """Return the pieces of the best attempt, best first; empty if no two photographs connect.
 
@@ -65,12 +69,13 @@ def place_cameras(
         focals: focal length by EXIF of each photograph, in units of the longer side.
         trust: matches that suffice to connect photographs.
         confirms: decides about pairs with fewer.
+        start: cameras of each photograph that are refined instead of a search for cameras.
     """
     best: list[Piece] = []
     count = len(focals)
     if count == 2:
         trust = thresholds.ALWAYS_CHECKED
-    for attempt in _attempts(count):
+    for attempt in _attempts(count) if start is None else _attempts_from(start):
         if placed(best) >= attempt.enough:
             break
         target = folder / attempt.name
@@ -139,6 +144,19 @@ def _attempts(total: int) -> list[_Attempt]:
         for d in thresholds.FIRST_PAIR_DEGREES
     ]
     return [*free, _Attempt("global", map_globally, total), fixed[-1]]
+
+
+def _attempts_from(start: Sequence[PosedDepth]) -> list[_Attempt]:
+    """Attempts that refine given cameras, with a free lens and with the given one."""
+
+    def refined(fixed_lens: bool, database: Path, images: Path, folder: Path) -> list[Model]:
+        return refined_start(start, database, images, folder, fixed_lens)
+
+    total = len(start)
+    fixed = _Attempt(
+        "start_fixed_lens", partial(refined, True), min(thresholds.MIN_PHOTOS, total), True
+    )
+    return [fixed] if total == 2 else [_Attempt("start", partial(refined, False), total), fixed]
 
 
 def _pieces(found: list[Model], folder: Path, fixed_lens: bool) -> list[Piece]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from PIL import Image
@@ -32,16 +33,19 @@ from .dense.refinement import refine
 from .focal_lengths import are_unusual, contradict_exif, is_plausible
 from .mapping import Piece, place_cameras, placed
 from .matching import MATCHES, matchings, without_exif
+from .network_start import estimated
 from .two_view import Doubt, doubt_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from registry.priors import PosedDepth
     from registry.toolkit.photos import Decoder
 
     from ..unposed_photos import UnposedPhoto
     from .matching import Matching
+    from .network_start import Estimate
 
 _log = logging.getLogger("stereogs.photos")
 
@@ -73,7 +77,11 @@ class Reconstruction:
 
 
 def reconstruct(
-    photos: Sequence[UnposedPhoto], decoder: Decoder, share_lens: bool, folder: Path
+    photos: Sequence[UnposedPhoto],
+    decoder: Decoder,
+    share_lens: bool,
+    folder: Path,
+    estimate: Estimate | None = None,
 ) -> Reconstruction:
     """Estimate cameras and points.
 
@@ -81,6 +89,7 @@ def reconstruct(
         decoder: reads the photographs.
         share_lens: use one lens for all photographs of one camera, size and focal length.
         folder: empty folder for the working files and the models.
+        estimate: prior whose cameras the matches refine; None searches for cameras with the matches alone.
 
     Raises:
         SceneError: a photograph is damaged.
@@ -95,7 +104,12 @@ def reconstruct(
         range(len(photos)),
         stage="reading",
     )
-    search = _Search(decoder, share_lens, images, folder)
+
+    @cache
+    def start(focals: tuple[float | None, ...]) -> list[PosedDepth] | None:
+        return None if estimate is None else estimated(estimate, images, focals)
+
+    search = _Search(decoder, share_lens, images, folder, start)
     used = photos
     best: Reconstruction | None = None
     tried: list[str] = []
@@ -137,10 +151,13 @@ class _Search(NamedTuple):
     share_lens: bool
     images: Path
     folder: Path
+    start: Callable[[tuple[float | None, ...]], list[PosedDepth] | None]
 
     def run(
         self, matching: Matching, photos: Sequence[UnposedPhoto], connected: Sequence[int]
     ) -> Reconstruction:
+        focals = tuple(photo.focal for photo in photos)
+        start = self.start(focals)
         workplace = self.folder / matching.name
         workplace.mkdir()
         database = workplace / MATCHES
@@ -163,9 +180,8 @@ class _Search(NamedTuple):
                 if doubt is not None and sizes[first] == sizes[second]:
                     doubts[first, second] = doubt
         check = DenseCheck(self.images)
-        focals = [photo.focal for photo in photos]
         pieces = place_cameras(
-            database, self.images, workplace, focals, matching.trust, check.confirms
+            database, self.images, workplace, focals, matching.trust, check.confirms, start
         )
         doubts |= dict.fromkeys(check.rejected, "pictures")
         return Reconstruction(

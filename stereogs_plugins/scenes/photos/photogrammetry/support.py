@@ -13,7 +13,7 @@ import numpy as np
 
 from . import thresholds
 from .colmap import matched_points, open_database, verified_pairs
-from .two_view import sampson_distances, transfer_errors
+from .two_view import sampson_distances, share_in_front, transfer_errors
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,9 +140,11 @@ def _supports(database: Path, model: Model) -> dict[tuple[int, int], _Support]:
         for pair in verified_pairs(opened):
             if registered.issuperset(pair.images):
                 points = matched_points(opened, pair.images, pair.matches)
-                errors = sampson_distances(model, pair.images, *points)
+                agrees = sampson_distances(model, pair.images, *points) <= _AGREES
+                if share_in_front(model, pair.images, *points) < thresholds.MIN_IN_FRONT:
+                    agrees[:] = False
                 deep = pair.has_depth or _shows_depth(opened, model, pair)
-                found[pair.images] = _Support(int((errors <= _AGREES).sum()), len(errors), deep)
+                found[pair.images] = _Support(int(agrees.sum()), len(agrees), deep)
     return found
 
 

@@ -48,11 +48,17 @@ ALWAYS_CHECKED = Trust(2**31, 2**31)
 """Two photographs fit any geometry that a wrong focal length implies."""
 MIN_SUPPORT = 0.9
 """Least share of the matches of a pair that agree with a model; correct ones have 0.95 or more in general."""
+MIN_IN_FRONT = 0.25
+"""Least share of the matches of a pair in front of both cameras; without parallax half are, by chance."""
 MIN_SHARED = 3
 """Points that give two parts of a model the same scale. Three correct models had 6 or more; one had none, and
 positions wrong by 44 % of their spread."""
 FIRST_PAIR_DEGREES = (16.0, 2.0)
 """Triangulation angles of the first pair to try: COLMAP's own, and one for forward-facing photographs."""
+START_ROUNDS = ((8.0, 0.1), (4.0, 0.025), (2.0, 0.0))
+"""Errors of matches that are tolerated in turn while they refine a network's cameras: of rays in degrees, and
+of positions in units of the longer side, at least `MAX_ERROR`. Cameras of a room that were off by ten degrees
+and half a baseline ended where exact ones do."""
 
 # Keypoints and matches of networks
 MIN_SCORE = 0.1

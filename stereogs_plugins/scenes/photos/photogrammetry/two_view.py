@@ -26,16 +26,38 @@ def sampson_distances(model: Model, pair: tuple[int, int], first: Array, second:
 
     Hartley and Zisserman 2004, 11.4.3.
     """
+    rays, turn, shift = _motion(model, pair, first, second)
+    essential = np.cross(shift, turn, axisb=0, axisc=0)
+    lines = [rays[1] @ essential, rays[0] @ essential.T]
+    across = (rays[1] * lines[1]).sum(axis=1)
+    slope = sum((line[:, :2] ** 2).sum(axis=1) for line in lines)
+    distances: Array = lens_of(model, pair[0]).focal_length * np.abs(across) / np.sqrt(slope)
+    return distances
+
+
+def share_in_front(model: Model, pair: tuple[int, int], first: Array, second: Array) -> float:
+    """Share of points `[M, 2]` of two images that lie in front of both cameras; 0 without points.
+
+    Sampson distances do not change if one camera moves to the opposite side of the other, behind which the
+    points then are.
+    """
+    rays, turn, shift = _motion(model, pair, first, second)
+    turned = rays[0] @ turn.T
+    across = np.cross(turned, rays[1])
+    depths = -np.cross(shift, rays[1]), -np.cross(shift, turned)
+    signs = [(depth * across).sum(axis=1) > 0 for depth in depths]
+    return float((signs[0] & signs[1]).sum() / max(1, len(first)))
+
+
+def _motion(
+    model: Model, pair: tuple[int, int], first: Array, second: Array
+) -> tuple[list[Array], Array, Array]:
+    """Rays `[M, 3]` of points in both cameras, and rotation and translation from the first to the second."""
     lenses = [lens_of(model, image) for image in pair]
     rays = [rays_of(*both) for both in zip(lenses, (first, second), strict=True)]
     poses = [model.image(image).cam_from_world() for image in pair]
     motion = poses[1] * poses[0].inverse()
-    essential = np.cross(motion.translation, motion.rotation.matrix(), axisb=0, axisc=0)
-    lines = [rays[1] @ essential, rays[0] @ essential.T]
-    across = (rays[1] * lines[1]).sum(axis=1)
-    slope = sum((line[:, :2] ** 2).sum(axis=1) for line in lines)
-    distances: Array = lenses[0].focal_length * np.abs(across) / np.sqrt(slope)
-    return distances
+    return rays, motion.rotation.matrix(), np.asarray(motion.translation)
 
 
 def transfer_errors(homography: Array, first: Array, second: Array) -> Array:

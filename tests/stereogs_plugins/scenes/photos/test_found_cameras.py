@@ -36,7 +36,9 @@ def find(entry: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[
         estimated.append(empty)
         return reconstruction_of(entry)
 
-    return lambda treatment, photos: remembered_cameras(photos, treatment, compute), estimated
+    return lambda treatment, photos: remembered_cameras(
+        photos, lambda: treatment, compute
+    ), estimated
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "missing", "checksum"])

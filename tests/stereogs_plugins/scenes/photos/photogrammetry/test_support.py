@@ -74,6 +74,20 @@ def test_a_wrong_camera_is_removed(synthetic: Synthetic) -> None:
     assert model.num_reg_images() == 3
 
 
+def test_a_mirrored_camera_is_removed(synthetic: Synthetic) -> None:
+    """Its epipolar lines are the true ones, but the points are behind it."""
+    path, model = synthetic
+    first, second, *_ = sorted(model.reg_image_ids())
+    pose, other = (model.image(k).cam_from_world() for k in (first, second))
+    motion = other * pose.inverse()
+    motion.translation = -motion.translation
+    model.frame(model.image(second).frame_id).rig_from_world = motion * pose
+    assert is_contradicted(path, model)
+    for k in sorted(model.reg_image_ids())[2:]:
+        model.deregister_frame(model.image(k).frame_id)
+    assert not drop_unsupported(path, model, Trust(15, 15), always)
+
+
 def test_a_wrong_model_is_discarded(synthetic: Synthetic) -> None:
     path, model = synthetic
     turn_first(model, 4)

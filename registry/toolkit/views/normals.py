@@ -1,0 +1,86 @@
+"""Normals of what a camera sees: from rendered depth, and from the smallest axes of the Gaussians.
+
+Both are `[H, W, 3]` in the camera's axes (x right, y down, z forward), point towards the camera, and take
+part in autograd.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from core_rasterizer import rasterize
+from core_rasterizer.gaussians import SH_C0
+from core_rasterizer.reference import rotation_matrices
+
+if TYPE_CHECKING:
+    from core_rasterizer import Camera, GaussianReader, Rendering
+
+LEAST_ALPHA = 0.5
+"""Alpha below which the depth of a pixel is unknown."""
+
+
+def depth_normals(rendering: Rendering, camera: Camera) -> Tensor:
+    """Return the normals of a render's depth (depth / alpha), from the neighbours on both sides.
+
+    Returns:
+        Unit vectors; 0 on the border of the image, and where the pixel or a neighbour has an alpha below 0.5.
+    """
+    alpha, dtype = rendering.alpha, rendering.depth.dtype
+    opaque = alpha.detach() >= LEAST_ALPHA
+    z = rendering.depth / alpha.where(opaque, 1.0)
+    u, v = (place.to(dtype) for place in camera.pixel_centers())
+    points = torch.stack(
+        [z * (u - camera.cx) / camera.fx, z * (v - camera.cy) / camera.fy, z], dim=2
+    )
+    right, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
+    known = opaque[1:-1, 1:-1] & opaque[1:-1, 2:] & opaque[1:-1, :-2] & opaque[2:, 1:-1]
+    known = known & opaque[:-2, 1:-1]
+    normals = torch.linalg.cross(down, right)
+    square = normals.square().sum(dim=2, keepdim=True)
+    known = known[..., None] & (square.detach() > 0)
+    unit = (normals * square.where(known, 1.0).rsqrt()).where(known, 0.0)
+    return torch.nn.functional.pad(unit, (0, 0, 1, 1, 1, 1))
+
+
+def axis_normals(model: GaussianReader, camera: Camera) -> Tensor:
+    """Return the blended normals of the Gaussians (`blended_normals`), at the model's parameters."""
+    return blended_normals(
+        model.parameter("means"),
+        model.parameter("quaternions"),
+        model.parameter("scales"),
+        model.parameter("opacities"),
+        camera,
+        dilation=model.dilation,
+        compensate_dilation=model.compensate_dilation,
+        device=model.device,
+    )
+
+
+def blended_normals(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    camera: Camera,
+    **options: Any,
+) -> Tensor:
+    """Render the normal of each Gaussian, its smallest axis: the sum of normal * alpha_i * T_i.
+
+    Not divided by alpha: 0 where nothing was hit.
+
+    Args:
+        means, quaternions, scales, opacities, options: as for `core_rasterizer.rasterize`.
+    """
+    pose = camera.world_to_camera.detach().to(means.dtype)
+    smallest = scales.detach().argmin(dim=1)
+    index = torch.arange(len(means))
+    normals = rotation_matrices(quaternions)[index, :, smallest] @ pose[:3, :3].T
+    seen = (means.detach() @ pose[:3, :3].T + pose[:3, 3]) * normals.detach()
+    normals = normals * (1 - 2 * (seen.sum(dim=1, keepdim=True) > 0).to(normals.dtype))
+    # As colours between 1/4 and 3/4, which no clamp changes.
+    sh = normals[:, None] / (4 * SH_C0)
+    rendering = rasterize(means, quaternions, scales, opacities, sh, camera, **options)
+    return 4 * rendering.rgb - 2 * rendering.alpha[..., None]
