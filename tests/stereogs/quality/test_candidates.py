@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.quality.table import LONG, QUALITIES, QUICK, SHORT, by_quality
+from stereogs.quality.table import BEST, LONG, QUALITIES, QUICK, SHORT, by_quality
 from tests.host import SELECTION, Plugins, load_pipeline
 
 
@@ -17,10 +17,10 @@ def test_the_candidate_pipelines_have_the_same_initial_points(
     monkeypatch.delenv(SELECTION)
     first, *others = (
         load_pipeline(Path(name), Plugins(), overrides=["scene=procedural"])
-        for name in (SHORT, QUICK, LONG)
+        for name in (SHORT, QUICK, LONG, BEST)
     )
     for other in others:
         for section in ("priors", "initializer"):
             assert first.items[section] == other.items[section]
         assert first.training.seed == other.training.seed
-    assert {by_quality(quality).name for quality in QUALITIES} == {QUICK, SHORT, LONG}
+    assert {by_quality(quality).name for quality in QUALITIES} == {QUICK, SHORT, BEST}

@@ -17,7 +17,9 @@ from registry import Scene
 from stereogs import Pipeline, Run, RunOptions
 from stereogs.quality.fitting import HURRIED, Fit, WithQuality
 from stereogs.quality.table import (
+    BEST,
     LONG,
+    LONG_TIMES,
     QUALITIES,
     QUICK,
     QUICK_TIMES,
@@ -234,7 +236,7 @@ def chosen(
 
     def load(name: str) -> Pipeline:
         assert name != SHORT, "it is at hand"
-        return pipeline(toys, name, {QUICK: quick, LONG: 2000}[name])
+        return pipeline(toys, name, {QUICK: quick, LONG: 1200, BEST: 3600}[name])
 
     found: list[Pipeline] = []
     plan = (
@@ -255,7 +257,7 @@ def chosen(
 
 @pytest.mark.parametrize(
     ("quality", "name", "iterations"),
-    [("fast", QUICK, 160), ("good", SHORT, 400), ("best", LONG, 2000)],
+    [("fast", QUICK, 160), ("good", SHORT, 400), ("best", BEST, 3600)],
 )
 def test_a_quality_is_a_pipeline_and_a_length(
     toys: Plugins, device: Device, quality: Quality, name: str, iterations: int
@@ -269,9 +271,9 @@ def test_a_quality_is_a_pipeline_and_a_length(
 
 
 @pytest.mark.parametrize(
-    ("seconds", "name"), [(12.0, QUICK), (30.0, SHORT), (100.0, LONG), (600.0, LONG)]
+    ("seconds", "name"), [(12.0, QUICK), (30.0, SHORT), (100.0, LONG), (600.0, BEST)]
 )
-def test_seconds_choose_among_the_three_pipelines(
+def test_seconds_choose_among_the_pipelines(
     toys: Plugins,
     device: Device,
     monkeypatch: pytest.MonkeyPatch,
@@ -280,7 +282,12 @@ def test_seconds_choose_among_the_three_pipelines(
 ) -> None:
     found = chosen(toys, device, Machine(monkeypatch).budget(seconds))
     assert found.name == name
-    most = {QUICK: QUICK_TIMES * 160, SHORT: SHORT_TIMES * 400, LONG: 2000}[name]
+    most = {
+        QUICK: QUICK_TIMES * 160,
+        SHORT: SHORT_TIMES * 400,
+        LONG: LONG_TIMES * 1200,
+        BEST: 3600,
+    }[name]
     assert MIN_ITERATIONS <= found.training.iterations <= most
     assert found.training.max_gaussians is not None
 
@@ -329,7 +336,8 @@ def test_the_chosen_pipeline_has_the_length_for_the_scene(toys: Plugins, device:
     assert chosen(toys, device, "fast", quick="30 per view").training.iterations == 60
 
 
-def test_the_length_chooses_among_the_three_pipelines() -> None:
-    assert [by_length(times).name for times in (0.5, 0.7, 1.7, 1.8)] == [QUICK, SHORT, SHORT, LONG]
+def test_the_length_chooses_among_the_pipelines() -> None:
+    times = {0.5: QUICK, 0.7: SHORT, 1.7: SHORT, 1.8: LONG, 5.2: LONG, 5.3: BEST}
+    assert {number: by_length(number).name for number in times} == times
     for quality in QUALITIES:
         assert len(f"  because {by_quality(quality).reason}") <= 80

