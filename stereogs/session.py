@@ -146,7 +146,7 @@ def scene_from_arrays(
     *,
     bounds: tuple[float, float],
     test: Sequence[int] = (),
-    weights: Sequence[ArrayLike | None] | None = None,
+    weights: Sequence[ArrayLike | float | None] | None = None,
     points: PointCloud | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     name: str = "scene",
@@ -157,7 +157,8 @@ def scene_from_arrays(
         images: each `[H, W, 3]`, uint8, or floating point in [0, 1].
         cameras: one for each image, of its size.
         test: indices of the test views; the others train.
-        weights: one for each image, `[H, W]` in [0, 1], or None: 0 excludes a pixel from training and scores.
+        weights: one for each image, or None: `[H, W]` in [0, 1], 0 excludes a pixel from training and scores;
+            or one number for all pixels, for example of a generated image.
         bounds, points, background, name: as in `registry.Scene`.
 
     Raises:
@@ -177,7 +178,7 @@ def scene_from_arrays(
             what = f"test has the index {index}, but there are {len(images)} images"
             raise SceneError(what, where=name, fix="count from 0")
     views = [
-        View(f"view_{index:03d}", camera, _colors(image), weights=_weights(weight))
+        View(f"view_{index:03d}", camera, _colors(image), weights=_weights(weight, camera))
         for index, (image, camera, weight) in enumerate(zip(images, cameras, weights, strict=True))
     ]
     train = tuple(view for index, view in enumerate(views) if index not in test)
@@ -195,12 +196,15 @@ def _colors(image: ArrayLike) -> Any:
     return torch.from_numpy((array / np.float32(scale)).astype(np.float32))
 
 
-def _weights(weight: ArrayLike | None) -> Any:
+def _weights(weight: ArrayLike | float | None, camera: Camera) -> Any:
     """Return `[H, W]` float32, or None."""
     import numpy as np
     import torch
 
-    return None if weight is None else torch.from_numpy(np.asarray(weight, np.float32))
+    if weight is None:
+        return None
+    values = torch.from_numpy(np.asarray(weight, np.float32))
+    return values.repeat(camera.height, camera.width) if values.ndim == 0 else values
 
 
 def train(

@@ -173,11 +173,13 @@ def test_a_scene_from_arrays(device: Device) -> None:
     ]
     bytes_, floats = np.full((24, 32, 3), 51, np.uint8), np.full((24, 32, 3), 0.2)
     left = np.arange(32) < 16
-    weights = [None, np.broadcast_to(left, (24, 32)), None]
+    weights = [None, np.broadcast_to(left, (24, 32)), 0.25]
     scene = stereogs.scene_from_arrays(
         [bytes_, floats, bytes_], cameras, bounds=(1.0, 5.0), test=[1], weights=weights
     )
     assert scene.train[0].weights is None
+    assert scene.train[1].weights is not None
+    assert torch.equal(scene.train[1].weights, torch.full((24, 32), 0.25))
     assert scene.test[0].weights is not None
     assert scene.test[0].weights.sum() == 24 * 16
     with pytest.raises(SceneError, match="3 images and 1 weights"):

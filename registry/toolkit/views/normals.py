@@ -31,18 +31,18 @@ def depth_normals(rendering: Rendering, camera: Camera) -> Tensor:
     alpha, dtype = rendering.alpha, rendering.depth.dtype
     opaque = alpha.detach() >= LEAST_ALPHA
     z = rendering.depth / alpha.where(opaque, 1.0)
-    u, v = (place.to(dtype) for place in camera.pixel_centers())
-    points = torch.stack(
-        [z * (u - camera.cx) / camera.fx, z * (v - camera.cy) / camera.fy, z], dim=2
-    )
-    right, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
-    known = opaque[1:-1, 1:-1] & opaque[1:-1, 2:] & opaque[1:-1, :-2] & opaque[2:, 1:-1]
-    known = known & opaque[:-2, 1:-1]
-    normals = torch.linalg.cross(down, right)
-    square = normals.square().sum(dim=2, keepdim=True)
-    known = known[..., None] & (square.detach() > 0)
-    unit = (normals * square.where(known, 1.0).rsqrt()).where(known, 0.0)
-    return torch.nn.functional.pad(unit, (0, 0, 1, 1, 1, 1))
+    left, right, above, below = z[1:-1, :-2], z[1:-1, 2:], z[:-2, 1:-1], z[2:, 1:-1]
+    u, v = (place[1:-1, 1:-1].to(dtype) for place in camera.pixel_centers())
+    # The cross product of the differences of the points z ((u - cx) / fx, (v - cy) / fy, 1), multiplied out.
+    wide, high = (left + right) / camera.fx, (above + below) / camera.fy
+    x, y = (right - left) * high, (below - above) * wide
+    forward = (u - camera.cx) / camera.fx * x + (v - camera.cy) / camera.fy * y + wide * high
+    square = x.square() + y.square() + forward.square()
+    known = opaque[1:-1, :-2] & opaque[1:-1, 2:] & opaque[:-2, 1:-1] & opaque[2:, 1:-1]
+    known = known & opaque[1:-1, 1:-1] & (square.detach() > 0)
+    factor = square.where(known, 1.0).rsqrt() * known
+    normals = torch.stack([x * factor, y * factor, -forward * factor])
+    return torch.nn.functional.pad(normals, (1, 1, 1, 1)).permute(1, 2, 0)
 
 
 def axis_normals(model: GaussianReader, camera: Camera) -> Tensor:

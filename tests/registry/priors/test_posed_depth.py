@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -116,6 +117,14 @@ def test_impossible_numbers_of_photographs_do_not_pass_the_check(
     monkeypatch.setattr(Few, "accepted_views", (4, 3))
     with pytest.raises(AssertionError, match="`accepted_views` is 4 to 3"):
         check(Few)
+
+
+def test_the_example_of_the_docs_keeps_the_contract() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "prior_models.md").read_text("utf-8")
+    (source,) = re.findall(r"```py\n(.*?PosedDepthPrior.*?)```", page, re.DOTALL)
+    scope: dict[str, Any] = {"__name__": "example"}
+    exec(source, scope)
+    check(scope["Wall"])
 
 
 def test_a_pointmap_gives_depth_and_focal_length() -> None:
