@@ -89,7 +89,7 @@ class OnnxMoge(MonocularDepthPrior[OnnxMogeSettings]):
     def _camera(self, points: Tensor, valid: Tensor) -> tuple[float, float]:
         """Focal length in pixels, and the shift."""
         import torch
-        from scipy.optimize import least_squares
+        import scipy.optimize
 
         height, width = valid.shape
         v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
@@ -108,7 +108,8 @@ class OnnxMoge(MonocularDepthPrior[OnnxMogeSettings]):
 
         nearest = float(z.min())
         start = max(0.0, 0.1 * (float(z.max() - nearest) or 1.0) - nearest)
-        found = least_squares(
+        solve: Any = scipy.optimize.least_squares
+        found = solve(
             lambda shift: (focal(shift[0]) * rays(shift[0]) - target).ravel(),
             [start],
             bounds=(-nearest, float("inf")),
