@@ -88,8 +88,8 @@ class OnnxMoge(MonocularDepthPrior[OnnxMogeSettings]):
 
     def _camera(self, points: Tensor, valid: Tensor) -> tuple[float, float]:
         """Focal length in pixels, and the shift."""
-        import torch
         import scipy.optimize
+        import torch
 
         height, width = valid.shape
         v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
