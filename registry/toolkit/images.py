@@ -45,12 +45,12 @@ def grey(image: Tensor) -> Tensor:
 def at_size(pixels: Tensor, height: int, width: int) -> Tensor:
     """Resample a map of a photograph to the size of its render, which samplers may reduce.
 
-    Takes the nearest pixel of a map `[H, W]` of any type without averaging, so that depths of two surfaces
-    and unknown values do not mix. A map of the right size is returned unchanged.
+    Takes the nearest pixel of a map `[H, W]` or `[H, W, C]` of any type without averaging, so that depths of
+    two surfaces and unknown values do not mix. A map of the right size is returned unchanged.
     """
     import torch
 
-    rows, columns = pixels.shape
+    rows, columns = pixels.shape[:2]
     if (rows, columns) == (height, width):
         return pixels
     down = (torch.arange(height) * 2 + 1) * rows // (2 * height)

@@ -72,7 +72,7 @@ class PriorNormals(Regularizer[PriorNormalsSettings]):
         if name not in self._normals:
             self._normals[name] = self._estimated(step)
         surface = depth_normals(step.rendering, step.sample.camera)
-        wanted = _at_size(self._normals[name], surface)
+        wanted = at_size(self._normals[name], *surface.shape[:2])
         known = _known(surface, step) & wanted.any(dim=2)
         return _mean(1 - (wanted * surface).sum(dim=2), known)
 
@@ -95,13 +95,6 @@ def _known(surface: Tensor, step: Step) -> Tensor:
     """`[H, W]` bool, where depth has a normal and the photograph is solid."""
     known, solid = surface.detach().any(dim=2), step.view.solid
     return known if solid is None else known & at_size(solid, *known.shape)
-
-
-def _at_size(normals: Tensor, surface: Tensor) -> Tensor:
-    import torch
-
-    size = surface.shape[:2]
-    return torch.stack([at_size(axis, *size) for axis in normals.unbind(dim=2)], dim=2)
 
 
 def _mean(values: Tensor, known: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 
 import stereogs
 from tests.host import Plugins, verbs
@@ -18,6 +19,8 @@ PIPELINE = """\
 name: examples
 scene: {use: procedural, width: 48, height: 36}
 initializer: {use: flat, points_per_view: 200}
+priors: [{use: script_normals, model: MODEL}]
+regularizers: [{use: robust_normals, weight: 0.1}]
 opacity: {use: idle_fade, patience: 2}
 densification: {use: gradient_threshold, start: 2, every: 3}
 training: {iterations: 8, sh_degree: 0}
@@ -63,11 +66,16 @@ def test_their_own_tests_pass(site: Path, tmp_path: Path) -> None:
     run_python("-m", "pytest", *options, *tests, folder=tmp_path, site=site)
 
 
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 def test_a_pipeline_of_them_trains(installed: Plugins, tmp_path: Path) -> None:
-    pipeline = stereogs.build_pipeline(PIPELINE, plugins=installed)
+    model = tmp_path / "flat.pt"
+    torch.jit.trace(lambda image: image * 0 - 1, torch.zeros(1, 3, 2, 2)).save(str(model))
+    text = PIPELINE.replace("MODEL", str(model))
+    pipeline = stereogs.build_pipeline(text, plugins=installed)
     run = stereogs.train(pipeline, out=tmp_path / "run", progress=False)
     assert run.finished
     provenance = json.loads((tmp_path / "run" / "provenance.json").read_text("utf-8"))
     plugin = provenance["plugins"]["opacity.idle_fade"]
     assert plugin.startswith("stereogs-idle-opacity 0.1.0, code ")
     assert "fading" in run.metrics[-1]
+    assert run.metrics[-1]["regularizers.robust_normals"] > 0

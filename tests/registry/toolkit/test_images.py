@@ -37,6 +37,8 @@ def test_a_map_at_a_renders_size_keeps_its_values() -> None:
     # The middles of three rows and four columns fall into rows 0, 2, 4 and columns 0, 2, 4, 6.
     assert torch.equal(at_size(pixels, 3, 4), pixels[[0, 2, 4]][:, [0, 2, 4, 6]])
     assert torch.equal(at_size(pixels > 20, 1, 1), pixels[2:3, 3:4] > 20)
+    pair = torch.stack([pixels, -pixels], dim=2)
+    assert torch.equal(at_size(pair, 3, 4), pair[[0, 2, 4]][:, [0, 2, 4, 6]])
 
 
 def test_a_psnr_has_a_limit_and_a_confidence_predicts_one() -> None:
