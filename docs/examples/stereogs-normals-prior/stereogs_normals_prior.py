@@ -1,12 +1,13 @@
 """`script_normals` and `robust_normals`: normals from a TorchScript file, and a loss that uses them."""
 
+import io
 from pathlib import Path
 
 import torch
 from pydantic import Field
-from torch import Tensor
 
 from registry.toolkit.images import at_size
+from registry.toolkit.networks import read_model_file
 from registry.toolkit.views import depth_normals
 from stereogs import api
 
@@ -21,11 +22,11 @@ class ScriptNormals(api.NormalPrior[ScriptNormalsSettings]):
 
     def __init__(self, settings: ScriptNormalsSettings, context: api.Context) -> None:
         super().__init__(settings, context)
-        self._module = torch.jit.load(settings.model, map_location="cpu").eval()
+        file = read_model_file(settings.model, sha256=None)
+        self._module = torch.jit.load(io.BytesIO(file.content), map_location="cpu").eval()
 
-    def estimate(self, image: Tensor) -> Tensor:
-        answer: Tensor = self._module(image.permute(2, 0, 1)[None])
-        return answer[0].permute(1, 2, 0)
+    def estimate(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(self._module(image.permute(2, 0, 1)[None]))[0].permute(1, 2, 0)
 
 
 class RobustNormalsSettings(api.Settings):
@@ -38,11 +39,11 @@ class RobustNormals(api.Regularizer[RobustNormalsSettings]):
 
     needs_priors = (api.NormalPrior.capability,)
 
-    def loss(self, step: api.Step) -> Tensor:
+    def loss(self, step: api.Step) -> torch.Tensor:
         found = depth_normals(step.rendering, step.sample.camera)
-        prior = api.NormalPrior.choose(step.priors, None)
-        wanted = at_size(prior.normals_of(step.view), *found.shape[:2])
-        known = found.detach().any(dim=2) & wanted.any(dim=2)
+        normals = api.NormalPrior.choose(step.priors, None).normals_of(step.view)
+        wanted = at_size(normals, *found.shape[:2])
+        known = found.any(dim=2) & wanted.any(dim=2)
         if step.view.solid is not None:
             known &= at_size(step.view.solid, *known.shape)
         square = (found - wanted)[known].square().sum(dim=1)
