@@ -18,8 +18,6 @@ class ScriptNormalsSettings(api.Settings):
 
 
 class ScriptNormals(api.NormalPrior[ScriptNormalsSettings]):
-    """Normals of a network, towards the camera."""
-
     def __init__(self, settings: ScriptNormalsSettings, context: api.Context) -> None:
         super().__init__(settings, context)
         file = read_model_file(settings.model, sha256=None)
@@ -30,6 +28,8 @@ class ScriptNormals(api.NormalPrior[ScriptNormalsSettings]):
 
 
 class RobustNormalsSettings(api.Settings):
+    prior: str | None = None
+    """Name of a prior of normals; null uses the only one."""
     softness: float = Field(0.5, gt=0)
     """Distance of two unit normals, 0 to 2, from which the penalty grows more slowly."""
 
@@ -41,7 +41,7 @@ class RobustNormals(api.Regularizer[RobustNormalsSettings]):
 
     def loss(self, step: api.Step) -> torch.Tensor:
         found = depth_normals(step.rendering, step.sample.camera)
-        normals = api.NormalPrior.choose(step.priors, None).normals_of(step.view)
+        normals = api.NormalPrior.choose(step.priors, self.settings.prior).normals_of(step.view)
         wanted = at_size(normals, *found.shape[:2])
         known = found.any(dim=2) & wanted.any(dim=2)
         if step.view.solid is not None:
