@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from inspect import get_annotations
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, get_args
 
 import pydantic
 from typing_extensions import TypeVar
 
+from ..errors import PluginError
 from .host_defaults import HostDefaults
 
 if TYPE_CHECKING:
@@ -121,6 +123,14 @@ class Component(Generic[SettingsType]):
             ]
             if written:
                 cls.Settings = written[0]
+        annotated = get_annotations(cls).get("settings")
+        name = getattr(annotated, "__name__", str(annotated)).strip("'\"").rpartition(".")[2]
+        if annotated is not None and name not in (base.__name__ for base in cls.Settings.__mro__):
+            raise PluginError(
+                f"{cls.__name__} annotates `settings` as {name}, but they are {cls.Settings.__name__}",
+                where=f"{cls.__module__}.{cls.__qualname__}",
+                fix=f"write `class {cls.__name__}({cls.__bases__[0].__name__}[{name}])` instead",
+            )
 
     def __init__(self, settings: SettingsType, context: Context) -> None:
         import torch

@@ -120,6 +120,7 @@ class PointCloud:
             scales=None if self.scales is None else self.scales * unit,
             quaternions=quaternions,
             sh=None if self.sh is None else rotated_sh(self.sh, linear / unit),
+            maps={name: replace(m, depth=m.depth * unit) for name, m in self.maps.items()},
         )
 
     def subset(self, chosen: Tensor) -> PointCloud:

@@ -34,6 +34,6 @@ if TYPE_CHECKING:
     )
     from .normals import NormalPrior as NormalPrior
     from .posed_depth import PosedDepth as PosedDepth, PosedDepthPrior as PosedDepthPrior
-    from .prior_cache import identity as identity
+    from .prior_cache import cached as cached, identity as identity
 else:
     __all__, __dir__, __getattr__ = names_on_first_use(__name__)

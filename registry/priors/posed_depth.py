@@ -71,11 +71,8 @@ class PosedDepthPrior(Prior[SettingsType]):
     """What `estimate` returns as confidence: probabilities in [0, 1], or their logits."""
     metric: ClassVar[bool] = False
     """Whether the unit of the answer's world is a metre; otherwise it is unknown, and of each call."""
-
-    @property
-    def accepted_views(self) -> tuple[int, int | None]:
-        """Least and largest number of photographs of one call; None: no limit."""
-        return 2, None
+    accepted_views: tuple[int, int | None] = (2, None)
+    """Least and largest number of photographs of one call; None: no limit. Constructors may change it."""
 
     @abstractmethod
     def estimate(

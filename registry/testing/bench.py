@@ -43,6 +43,7 @@ class Bench:
         priors: prior models by name.
         size: size of the scene.
         shrink: the photographs have this many times the rows and columns of the renders.
+        ask: calls a prior of a capability that `registry.priors` does not have, with a scene.
 
     Attributes:
         seconds: total time of the component's methods so far.
@@ -53,6 +54,7 @@ class Bench:
     priors: dict[str, Prior[Any]]
     size: Size = SMALL
     shrink: int = 1
+    ask: Callable[[Any, Scene], Any] | None = None
     seconds: float = field(default=0.0, init=False)
     megabytes: float | None = field(default=None, init=False)
 

@@ -85,7 +85,16 @@ def _prior(bench: Bench, built: Any) -> Any:
         if isinstance(built, base):
             with mock.patch.dict(os.environ, {FOLDER_VARIABLE: ""}):  # no cache
                 answers.append(bench.call(getattr(built, method), *given))
-    return answers or capability
+    if answers:
+        return answers
+    ask = bench.ask
+    if ask is None:
+        raise AssertionError(
+            f"the prior's capability {capability!r} is its own, and the check does not know how to call it: "
+            f"check({type(built).__name__}, call=...) with a function of the prior and a scene, for example "
+            "call=lambda prior, scene: prior.normals(scene.train[0].image)"
+        )
+    return bench.call(ask, built, bench.scene)
 
 
 def _posed_depths(bench: Bench, built: PosedDepthPrior[Any]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -15,6 +15,7 @@ from ..calls.repeats import digests, first_difference
 from ..contract.checks.answers import check_state
 from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
+from ..contract.scene import Scene
 from ..discovery import GROUP, Plugins, check_offer
 from ..pipeline.parts import TRAINING_SECTIONS
 from ..pipeline.settings_check import escape_variables, validate_settings
@@ -51,6 +52,7 @@ def check(
     *,
     priors: dict[str, Prior[Any]] | None = None,
     device: Device | None = None,
+    call: Callable[[Any, Scene], Any] | None = None,
     **settings: Any,
 ) -> Cost:
     """Check that a component class follows the contract.
@@ -67,6 +69,8 @@ def check(
     Args:
         priors: prior models for `Step.priors` and `initialize`; training runs build them from their settings.
         device: where the Gaussians live; None chooses.
+        call: takes a prior and a scene and returns an answer, for capabilities that `registry.priors` does
+            not have; a function of a module, unlike a lambda, is repeated in other processes too.
         settings: for the component, as Python values.
 
     Returns:
@@ -81,25 +85,25 @@ def check(
     _check_entry_points(component)
     chosen = component.Settings(**settings)
     _check_settings(chosen)
-    bench = Bench(device or open_device(), priors or {})
+    bench = Bench(device or open_device(), priors or {}, ask=call)
     answers = [_answer(component, chosen, bench) for _ in range(2)]
     require(
         first_difference(*answers) is None,
         f"two {point.title}s with one seed gave different answers to the same call",
     )
     kinds = {name: (type(prior), prior.settings) for name, prior in bench.priors.items()}
-    elsewhere = in_other_processes(_digests_of_answer, component, chosen, kinds)
+    elsewhere = in_other_processes(_digests_of_answer, component, chosen, kinds, call)
     require(
         all(digest == elsewhere[0] for digest in elsewhere),
         "two processes gave different answers to the same call; does it iterate over a set, or use "
         "hash(), id(), the process's number or its start? (sort the set)",
     )
-    real = Bench(bench.device, bench.priors, REAL)
+    real = Bench(bench.device, bench.priors, REAL, ask=call)
     trains = point.section in TRAINING_SECTIONS
     _call(component, chosen, real)
     for size, shrink in ((EMPTY, 1), (PIXEL, 1), *([(SMALL, 2)] if trains else [])):
         with suppress(Refused):
-            _call(component, chosen, Bench(bench.device, bench.priors, size, shrink))
+            _call(component, chosen, Bench(bench.device, bench.priors, size, shrink, call))
     if trains:
         train_and_resume(component, chosen, bench)
     if point.observes:
@@ -124,11 +128,12 @@ def _digests_of_answer(
     component: type[Component[Any]],
     settings: Settings,
     kinds: Mapping[str, tuple[type[Prior[Any]], Settings]],
+    call: Callable[[Any, Scene], Any] | None,
 ) -> dict[str, str]:
     """Return digests of the answer with new priors, for `in_other_processes`."""
     device = open_device()
     priors = {name: kind(own, Context(name, 0, device)) for name, (kind, own) in kinds.items()}
-    return digests(_answer(component, settings, Bench(device, priors)))
+    return digests(_answer(component, settings, Bench(device, priors, ask=call)))
 
 
 def _answer(component: type[Component[Any]], settings: Settings, bench: Bench) -> Any:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FamilyName = Literal[
     "foundation_stereo",
     "fast_foundation_stereo",
+    "c_fast_foundation_stereo",
     "s2m2",
     "lite_any_stereo",
     "raft_stereo",
@@ -71,6 +72,13 @@ FAMILIES: dict[FamilyName, StereoFamily] = {
         "disp",
         max_disparity=192,
         published="Fast-FoundationStereo (https://github.com/NVlabs/Fast-FoundationStereo)",
+    ),
+    "c_fast_foundation_stereo": StereoFamily(
+        "left_image",
+        "right_image",
+        "disparity",
+        value_range="imagenet",
+        published="C-Fast-FoundationStereo, one ONNX file",
     ),
     "s2m2": StereoFamily(
         "input_left",

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from core_rasterizer import Camera, Gaussians, rasterize
 from registry import PointCloud, SceneError
+from registry.priors import DepthMap
 from registry.testing import tiny_scene
 from tests.host import TrainingSettings, initial_gaussians
 
@@ -65,6 +66,9 @@ def test_transformed_points_look_the_same_from_transformed_cameras() -> None:
         expected = image(initial_gaussians(cloud, SETTINGS), camera)
         started = initial_gaussians(cloud.transformed(similarity), SETTINGS)
         torch.testing.assert_close(image(started, moved), expected, atol=2e-4, rtol=0)
+    depth = DepthMap(torch.full((2, 2), 3.0), torch.ones(2, 2).bool(), torch.ones(2, 2))
+    scaled = replace(points, maps={"view": depth}).transformed(similarity).maps["view"]
+    torch.testing.assert_close(scaled.depth, torch.full((2, 2), 4.5))
     with pytest.raises(SceneError, match="mirrors"):
         points.transformed(torch.diag(torch.tensor([1.0, 1, -1, 1])))
 

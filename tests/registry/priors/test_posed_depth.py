@@ -44,9 +44,7 @@ class Logits(Row):
 
 
 class Few(Row):
-    @property
-    def accepted_views(self) -> tuple[int, int | None]:
-        return 3, 4
+    accepted_views = (3, 4)
 
 
 IMAGES = [view.image for view in tiny_scene().train]

@@ -90,6 +90,44 @@ def test_the_thread_of_the_host_is_not_attributed_to_the_component() -> None:
     assert "left a thread running" not in done.stderr
 
 
+class Labels(r.Prior[r.Settings]):
+    """A capability of its own; one of its methods fails."""
+
+    capability = "labels"
+
+    def labels(self, view: r.TrainingView) -> torch.Tensor:
+        return (view.image.mean(dim=2) > 0.5).float()
+
+    def broken(self, view: r.TrainingView) -> torch.Tensor:
+        raise AttributeError("no such layer")
+
+
+def ask(prior: Labels, scene: r.Scene) -> torch.Tensor:
+    return prior.labels(scene.train[0])
+
+
+def test_a_prior_of_another_capability_passes_only_if_it_was_called() -> None:
+    check(Labels, call=ask)
+    with pytest.raises(AssertionError, match=r"'labels' is its own.*check\(Labels, call="):
+        check(Labels)
+    with pytest.raises(AttributeError, match="no such layer"):
+        check(Labels, call=lambda prior, scene: prior.broken(scene.train[0]))
+
+
+def test_an_annotation_of_settings_that_would_be_ignored_is_refused() -> None:
+    with pytest.raises(r.PluginError, match="annotates `settings` as HalfSettings") as caught:
+
+        class Ignored(r.Regularizer):
+            settings: HalfSettings
+
+    assert "class Ignored(Regularizer[HalfSettings])" in caught.value.fix
+
+    class Repeated(r.Regularizer[HalfSettings]):
+        settings: HalfSettings
+
+    assert Repeated.Settings is HalfSettings
+
+
 def test_check_returns_the_cost() -> None:
     cost = check(Slow)
     assert 0.05 < cost.seconds < 60

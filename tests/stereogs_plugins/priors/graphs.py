@@ -99,10 +99,19 @@ def matcher(
     output_kind: int = FLOAT,
     candidates: int = 12,
     sign: float = 1.0,
+    multiple: int = 1,
 ) -> Path:
-    """A block matcher as a stereo network with any names, sizes and types."""
+    """A block matcher as a stereo network with any names, sizes and types.
+
+    Args:
+        multiple: other sides fail in a Concat, as in networks that join levels of a pyramid.
+    """
     graph = Graph()
     left, right = (graph.input(name, shape, kind) for name in names[:2])
+    if multiple > 1:
+        small = graph("AveragePool", left, kernel_shape=[multiple] * 2, strides=[multiple] * 2)
+        level = graph("Resize", small, "", graph.constant([1, 1, multiple, multiple]))
+        left = graph.slice(graph("Concat", left, level, axis=1), 1, 0, 3)
     disparity = block_matcher(graph, left, right, candidates)
     signed = graph("Mul", disparity, graph.constant(sign))
     graph.output(names[2], signed, [shape[0], 1, *shape[2:]], output_kind)
@@ -141,11 +150,16 @@ def constant_shift(path: Path, value: float, shape: Shape = OPEN) -> Path:
     return graph.save(path)
 
 
-def echo(path: Path, shape: Shape = OPEN, kind: int = FLOAT) -> Path:
+def echo(
+    path: Path,
+    shape: Shape = OPEN,
+    kind: int = FLOAT,
+    names: tuple[str, str, str] = ("left", "right", "disp"),
+) -> Path:
     """The left image's red channel as disparity."""
     graph = Graph()
-    left, _ = graph.input("left", shape, kind), graph.input("right", shape, kind)
-    graph.output("disp", graph.slice(left, 1, 0, 1), [shape[0], 1, *shape[2:]])
+    left, _ = (graph.input(name, shape, kind) for name in names[:2])
+    graph.output(names[2], graph.slice(left, 1, 0, 1), [shape[0], 1, *shape[2:]])
     return graph.save(path)
 
 

@@ -74,6 +74,26 @@ def test_the_image_has_the_value_range_of_the_family(
     assert torch.allclose(answer, torch.tensor(10 + expected), atol=1e-4)
 
 
+def test_a_graph_like_metric3d_with_depth_and_normals(tmp_path: Path) -> None:
+    """`image` [1, 3, 616, 1064] in 0..255; `pred_depth` beside normals and their confidence."""
+    graph = graphs.Graph()
+    shape = (1, 3, 616, 1064)
+    given = graph.input("image", shape)
+    red = graph.slice(given, 1, 0, 1)
+    graph.output("pred_depth", graph("Add", red, graph.constant(1.0)), (1, 1, *shape[2:]))
+    graph.output("pred_normal", given, shape)
+    graph.output("normal_confidence", red, (1, 1, *shape[2:]))
+    path = graph.save(tmp_path / "m.onnx")
+    wanted = {"family": "dpt", "value_range": "0..255", "output": "pred_depth", "answers": "depth"}
+    found = [
+        {key: value for key, value in settings.items() if key not in ("model", "sha256")}
+        for settings in OnnxMono.settings_for(OnnxModel(path))
+    ]
+    assert wanted in found
+    answer = mono(path, **wanted).inverse_depth(torch.full((30, 40, 3), 0.8))
+    assert torch.allclose(answer, torch.tensor(1 / 205))
+
+
 def test_resizing_is_bicubic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which overshoots beside an edge, though never beyond black and white."""
     given: list[Tensor] = []

@@ -13,7 +13,15 @@ from tests.host import Plugins, parse_pipeline
 
 PAGE = Path(__file__).parents[3] / "docs" / "prior_models.md"
 TEXT = PAGE.read_text("utf-8")
-NAMES = ("onnx_stereo", "onnx_mvs", "onnx_mono", "onnx_matching", "onnx_flow", "torch_module")
+NAMES = (
+    "onnx_stereo",
+    "onnx_mvs",
+    "onnx_mono",
+    "onnx_moge",
+    "onnx_matching",
+    "onnx_flow",
+    "torch_module",
+)
 HEAD = "name: example\nscene: {use: llff, path: fern, train_views: 3}\n"
 EXAMPLES = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 

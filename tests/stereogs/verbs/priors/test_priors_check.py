@@ -58,6 +58,10 @@ def guessed(path: Path, plugins: Plugins) -> list[tuple[str, dict[str, object]]]
 def test_families_are_recognized_by_their_names(tmp_path: Path, plugins: Plugins) -> None:
     foundation = graphs.matcher(tmp_path / "f.onnx", shape=(1, 3, 64, 96))
     assert guessed(foundation, plugins) == [("onnx_stereo", {"family": "foundation_stereo"})]
+    names = ("left_image", "right_image", "disparity")
+    assert guessed(graphs.matcher(tmp_path / "c.onnx", names), plugins) == [
+        ("onnx_stereo", {"family": "c_fast_foundation_stereo"})
+    ]
     names = ("left", "right", "disparity")
     lite = graphs.matcher(tmp_path / "l.onnx", names, shape=(1, 3, 384, 1248), candidates=2)
     assert guessed(lite, plugins) == [("onnx_stereo", {"family": "lite_any_stereo"})]

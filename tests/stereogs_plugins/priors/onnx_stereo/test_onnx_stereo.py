@@ -50,6 +50,18 @@ def test_foundation_stereo_pads_504x378_to_its_frozen_512x384(tmp_path: Path) ->
     assert finds_the_shift(prior, 378, 504)
 
 
+def test_c_fast_foundation_stereo_gets_multiples_of_32_in_imagenets_range(tmp_path: Path) -> None:
+    names = ("left_image", "right_image", "disparity")
+    family = "c_fast_foundation_stereo"
+    path = graphs.matcher(tmp_path / "m.onnx", names, multiple=32)
+    assert finds_the_shift(stereo(path, family=family), 60, 90)
+    with pytest.raises(PluginError, match="the model failed"):
+        finds_the_shift(stereo(path, family=family, multiple=1), 60, 90)
+    red = stereo(graphs.echo(tmp_path / "red.onnx", names=names), family=family)
+    image = torch.ones(64, 64, 3)
+    assert torch.allclose(red.disparity(image, image).values, torch.tensor((1 - 0.485) / 0.229))
+
+
 @pytest.mark.parametrize("output_kind", [graphs.FLOAT, graphs.HALF])
 def test_float16_graphs(tmp_path: Path, output_kind: int) -> None:
     path = graphs.matcher(tmp_path / "m.onnx", kind=graphs.HALF, output_kind=output_kind)
