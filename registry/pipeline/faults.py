@@ -22,7 +22,8 @@ def faults(pipeline: Pipeline) -> list[str]:
     for item in pipeline:
         paths = paths_of(item.settings)
         missing = [shown for path, shown in paths if not path.expanduser().exists()]
-        found += [(item, f"{shown} does not exist") for shown in missing]
+        hint = "; see `stereogs models`" if item.point.section == "priors" else ""
+        found += [(item, f"{shown} does not exist{hint}") for shown in missing]
         if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
             found.append((item, f"{fault} ({item.place})"))
     found += [(item, error.what) for item, error in _prior_faults(pipeline)]

@@ -118,7 +118,9 @@ def prepare(loaded: Loaded, options: RunOptions) -> Prepared:
     STAGES.begin(None)
     console.print(summary(scene))
     fallbacks = [
-        f"fallback: the prior {i.fallback}" for i in pipeline.items["priors"] if i.fallback
+        f"fallback: the prior {i.fallback}; see `stereogs models`"
+        for i in pipeline.items["priors"]
+        if i.fallback
     ]
     for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
         console.print(f"warning: {warning}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -26,7 +26,9 @@ Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
 """Type of settings for a file's SHA-256: 64 hexadecimal digits."""
 
 _BYTES, _NUMBER = "TYPE_BYTES", "TYPE_INT64"
-_SCHEMA: dict[str, dict[str, tuple[int, str]]] = {
+Schema = Mapping[str, Mapping[str, tuple[int, str]]]
+"""Fields of messages, by name: their number, and their message or protobuf type."""
+_SCHEMA: Schema = {
     "Model": {"graph": (7, "Graph"), "training": (20, "Training"), "functions": (25, "Function")},
     "Training": {"initialization": (1, "Graph"), "algorithm": (2, "Graph")},
     "Graph": {"nodes": (1, "Node"), "initializers": (5, "Tensor"), "sparse": (15, "Sparse")},
@@ -143,18 +145,25 @@ def _messages(message: Any) -> Iterator[Any]:
 
 @cache
 def _model_type() -> Any:
-    """Build the message type of `_SCHEMA`. All fields are repeated, so nothing is overwritten or merged."""
+    return message_type(_SCHEMA, "Model")
+
+
+def message_type(schema: Schema, root: str) -> Any:
+    """Return the class of the message `root`, which reads protobuf files of a part of their fields.
+
+    All fields are repeated, so nothing is overwritten or merged.
+    """
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-    file = descriptor_pb2.FileDescriptorProto(name="onnx_part.proto", package="part")
-    for name, fields in _SCHEMA.items():
+    file = descriptor_pb2.FileDescriptorProto(name="part.proto", package="part")
+    for name, fields in schema.items():
         message = file.message_type.add(name=name)
         for field_name, (number, kind) in fields.items():
             field = message.field.add(name=field_name, number=number, label="LABEL_REPEATED")
-            if kind in _SCHEMA:
+            if kind in schema:
                 field.type_name = f".part.{kind}"
             else:
                 field.type = descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("part.Model"))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"part.{root}"))

