@@ -198,7 +198,7 @@ BY_THEMSELVES: dict[str, tuple[Settings, ...]] = {
 """Settings of components that need no files and no priors."""
 ELSEWHERE = {
     "initializer.flow_epipolar": "initializers/two_view/test_flow_epipolar.py",
-    "initializer.gaussians": "initializers/test_gaussians.py",
+    "initializer.feed_forward": "initializers/test_feed_forward.py",
     "initializer.matched_points": "initializers/two_view/test_matched_points.py",
     "observers.mlflow": "observers/test_mlflow.py",
     "observers.rerun": "observers/test_rerun.py",

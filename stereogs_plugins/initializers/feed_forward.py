@@ -1,4 +1,4 @@
-"""`gaussians`: the Gaussians of a feed-forward model, with their shapes, opacities and colours."""
+"""`feed_forward`: the Gaussians of a feed-forward model, with their shapes, opacities and colours."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ FAINTEST = 1 / 255
 """Opacity below which a Gaussian is never rendered, and so gets no gradient."""
 
 
-class GaussiansSettings(Settings):
+class FeedForwardSettings(Settings):
     prior: str | None = None
     """Name of the prior; null uses the only one that returns Gaussians."""
 
 
-class GaussiansInitializer(Initializer[GaussiansSettings]):
+class FeedForwardInitializer(Initializer[FeedForwardSettings]):
     """The Gaussians that a prior estimates from the training views, without invisible ones."""
 
     ablation_baseline = "sfm"
@@ -54,5 +54,5 @@ class GaussiansInitializer(Initializer[GaussiansSettings]):
 
 
 @hookimpl
-def stereogs_register_initializers(register: Register[GaussiansInitializer]) -> None:
-    register("gaussians", GaussiansInitializer)
+def stereogs_register_initializers(register: Register[FeedForwardInitializer]) -> None:
+    register("feed_forward", FeedForwardInitializer)

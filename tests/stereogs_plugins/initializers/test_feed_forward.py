@@ -10,7 +10,7 @@ from core_rasterizer import Camera, GaussianModel, Gaussians, load_ply, open_dev
 from registry import PluginError, PointCloud, SceneError, Settings, TrainingView
 from registry.priors import GaussiansPrior
 from registry.testing import check, tiny_scene
-from stereogs_plugins.initializers.gaussians import GaussiansInitializer
+from stereogs_plugins.initializers.feed_forward import FeedForwardInitializer
 from tests.host import TrainingSettings, initial_gaussians
 from tests.stereogs_plugins.building import build
 
@@ -61,7 +61,7 @@ def test_the_start_looks_like_the_model_of_the_prior(
     original = saved(tmp_path / "scene.ply")
     prior, scene = build(Saved, path=tmp_path / "scene.ply"), tiny_scene()
     for _ in range(2):
-        points = build(GaussiansInitializer).initialize(scene.for_training(), {"net": prior})
+        points = build(FeedForwardInitializer).initialize(scene.for_training(), {"net": prior})
         assert len(points) == 12
         started = initial_gaussians(points, TrainingSettings())
         for view in (*scene.train, *scene.test):
@@ -74,7 +74,7 @@ def test_the_start_looks_like_the_model_of_the_prior(
 def test_it_and_its_prior_keep_the_contract(tmp_path: Path) -> None:
     saved(tmp_path / "scene.ply")
     check(Saved, path=tmp_path / "scene.ply")
-    check(GaussiansInitializer, priors={"net": build(Saved, path=tmp_path / "scene.ply")})
+    check(FeedForwardInitializer, priors={"net": build(Saved, path=tmp_path / "scene.ply")})
 
 
 def test_answers_that_are_not_gaussians_are_refused(
@@ -84,7 +84,7 @@ def test_answers_that_are_not_gaussians_are_refused(
     views, bounds = tiny_scene().for_training().train, (1.0, 5.0)
     prior = build(Saved, path=tmp_path / "scene.ply")
     with pytest.raises(SceneError, match="13 Gaussians, none with an opacity"):
-        build(GaussiansInitializer).initialize(tiny_scene().for_training(), {"net": prior})
+        build(FeedForwardInitializer).initialize(tiny_scene().for_training(), {"net": prior})
     nothing = torch.zeros(2, 3)
     for answer, message in (
         (nothing, "is a Tensor"),
