@@ -136,3 +136,10 @@ def test_the_generated_page_lists_every_component_and_setting(
             assert f"\n| `{setting}` |" in text, f"{offer.name}.{setting}"
     for setting in TrainingSettings.model_fields:
         assert f"\n| `{setting}` |" in sections["training"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_line_is_too_long_to_read(page: Path) -> None:
+    """Rows of tables cannot be wrapped."""
+    lines = page.read_text("utf-8").splitlines()
+    assert [line for line in lines if len(line) > 140 and not line.startswith("|")] == []
