@@ -100,6 +100,7 @@ def test_the_tutorial_shows_commands() -> None:
     assert len(commands(ROOT / "docs" / "tutorial.md")) >= 5
 
 
+@pytest.mark.proof
 def test_fitting_one_picture_gets_better(tmp_path: Path) -> None:
     from PIL import Image
     from skimage import data

@@ -135,6 +135,7 @@ def test_a_trial_is_remembered_for_each_device_and_driver(
     assert trial.seconds_of(both) == [0.5, INFINITE]
 
 
+@pytest.mark.proof
 def test_a_real_trial_in_a_child_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path))
     device = list_devices()[0].describe(0)

@@ -110,6 +110,7 @@ def outcome_for_a_processor_named(name: bytes, **environment: str) -> list[str]:
     return answers
 
 
+@pytest.mark.proof
 def test_a_name_that_does_not_build_is_replaced(tmp_path: Path) -> None:
     quick = {"POCL_CACHE_DIR": str(tmp_path), "PYOPENCL_BUILD_OPTIONS": "-cl-opt-disable"}
     answers = outcome_for_a_processor_named(b"generic\0", **quick)
@@ -118,6 +119,7 @@ def test_a_name_that_does_not_build_is_replaced(tmp_path: Path) -> None:
     assert answers == [known[:-1].decode(), "True", "False"]
 
 
+@pytest.mark.proof
 def test_a_name_that_builds_is_left_alone() -> None:
     assert outcome_for_a_processor_named(b"") == ["None", "True", "True"]
 

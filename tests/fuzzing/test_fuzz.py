@@ -40,6 +40,7 @@ def _restored_log_level() -> Iterator[None]:
     cache.setLevel(level)
 
 
+@pytest.mark.proof
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", TARGETS)
 def test_damaged_files_are_explained_or_harmless(name: str, tmp_path: Path) -> None:

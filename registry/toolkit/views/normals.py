@@ -8,14 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
-
-from core_rasterizer import rasterize
-from core_rasterizer.gaussians import SH_C0
-from core_rasterizer.reference import rotation_matrices
-
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from core_rasterizer import Camera, GaussianReader, Rendering
 
 LEAST_ALPHA = 0.5
@@ -28,6 +23,8 @@ def depth_normals(rendering: Rendering, camera: Camera) -> Tensor:
     Returns:
         Unit vectors; 0 on the border of the image, and where the pixel or a neighbour has an alpha below 0.5.
     """
+    import torch
+
     alpha, dtype = rendering.alpha, rendering.depth.dtype
     opaque = alpha.detach() >= LEAST_ALPHA
     z = rendering.depth / alpha.where(opaque, 1.0)
@@ -74,6 +71,12 @@ def blended_normals(
     Args:
         means, quaternions, scales, opacities, options: as for `core_rasterizer.rasterize`.
     """
+    import torch
+
+    from core_rasterizer import rasterize
+    from core_rasterizer.gaussians import SH_C0
+    from core_rasterizer.reference import rotation_matrices
+
     pose = camera.world_to_camera.detach().to(means.dtype)
     smallest = scales.detach().argmin(dim=1)
     index = torch.arange(len(means))

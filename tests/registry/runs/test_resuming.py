@@ -36,6 +36,7 @@ def _default_interrupt_handler() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("_default_interrupt_handler")
 @pytest.mark.parametrize(
     ("iteration", "number"), [(1, signal.SIGINT), (10, signal.SIGTERM), (17, signal.SIGINT)]

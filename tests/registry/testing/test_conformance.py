@@ -471,6 +471,7 @@ def test_faults_are_found(component: Any, settings: dict[str, Any], message: str
         check(component, **settings)
 
 
+@pytest.mark.proof
 def test_answers_that_depend_on_the_process_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("registry.testing.processes.SEEDS", ("1", "2"))
     for component in (Ordered, Numbered):

@@ -47,6 +47,7 @@ def table(folder: Path) -> dict[str, dict[str, str]]:
     return {row["dropout"]: row for row in rows}
 
 
+@pytest.mark.proof
 def test_an_ablation_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

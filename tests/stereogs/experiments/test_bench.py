@@ -214,6 +214,7 @@ training: {iterations: 3, sh_degree: 0}
 """
 
 
+@pytest.mark.proof
 def test_a_bench_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

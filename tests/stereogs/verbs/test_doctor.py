@@ -123,6 +123,7 @@ def test_doctor_reports_wrong_results(capsys: Capture, two_devices: dict[str, Tr
     assert "FAILED: it computes wrongly, image error 5.0e-01" in capsys.readouterr().out
 
 
+@pytest.mark.proof
 def test_doctor_survives_a_driver_that_ends_the_process_when_it_is_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -143,6 +144,7 @@ def test_doctor_survives_a_driver_that_ends_the_process_when_it_is_loaded(
     assert "self-test: passed" in output
 
 
+@pytest.mark.proof
 def test_doctor_survives_a_driver_that_ends_the_process_when_it_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:

@@ -59,6 +59,7 @@ def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
         yield plugins
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("kind", COMPONENTS)
 def test_it_installs_and_keeps_the_contract(kind: str, installed: Plugins) -> None:
     offer = installed.find(COMPONENTS[kind], NAMES[kind])

@@ -28,6 +28,7 @@ class Hashing(Regularizer[Settings]):
 TRAINING = TrainingSettings(iterations=600, sh_degree=0)
 
 
+@pytest.mark.proof
 def test_an_answer_that_depends_on_the_hash_seed_is_named(device: Device) -> None:
     """In a component that is called late; before the first iteration of the run."""
     item = pipeline_item(Hashing, Settings(), "hashing")

@@ -66,6 +66,7 @@ def in_terminal(words: list[str], folder: Path) -> str:
     return written.decode()
 
 
+@pytest.mark.proof
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 def test_a_terminal_shows_a_bar_at_once_and_all_stages_in_order(tmp_path: Path) -> None:
     written = in_terminal(command("-X", "importtime"), tmp_path)

@@ -57,6 +57,7 @@ def trained(folder: Path, name: str, origin: tuple[float, float, float], unit: f
     return stereogs.train(built, progress=False)
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("name", WRITERS)
 def test_scores_do_not_depend_on_origin_and_unit(name: str, tmp_path: Path) -> None:
     plain = trained(tmp_path / "plain", name, (0.0, 0.0, 0.0), 1.0)

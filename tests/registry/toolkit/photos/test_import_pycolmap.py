@@ -58,6 +58,7 @@ LoadedPhotos.load([photo, photo], Decoder(longest_side(504), "box"), [0, 1], [])
 """
 
 
+@pytest.mark.proof
 @pytest.mark.skipif(os.name != "posix", reason="Windows ends processes without a signal")
 @pytest.mark.parametrize("handled", [True, False])
 @pytest.mark.parametrize("use", [IMPORT, LOAD], ids=["the import alone", "photographs in threads"])

@@ -135,6 +135,7 @@ def test_help_has_examples(capsys: Capture) -> None:
     assert "stereogs compare" in capsys.readouterr().out.split("examples:")[1]
 
 
+@pytest.mark.proof
 def test_real_runs_are_compared(
     install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:

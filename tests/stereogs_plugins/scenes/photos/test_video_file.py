@@ -44,6 +44,7 @@ def cache(clip: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return cache
 
 
+@pytest.mark.proof
 def test_a_video_is_a_scene_of_its_sharp_frames(
     clip: Path,
     cache: Path,

@@ -50,6 +50,7 @@ def test_forward_facing_pictures_are_placed(
     assert piece.folder.parent.name == "incremental_2"
 
 
+@pytest.mark.proof
 def test_a_lens_without_perspective_is_kept(tmp_path: Path) -> None:
     """Free focal lengths become more than four times the longer side."""
     piece = place("llff_fortress", (9, 11, 13), tmp_path, cropped=11)

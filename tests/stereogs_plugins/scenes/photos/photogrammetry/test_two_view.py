@@ -54,6 +54,7 @@ def write(scene: Scene, folder: Path, views: list[Array]) -> None:
         seen.save(folder / f"{index}.png")
 
 
+@pytest.mark.proof
 def test_photographs_from_one_position(
     room: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
