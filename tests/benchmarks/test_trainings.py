@@ -35,6 +35,7 @@ def test_lpips_is_measured_by_both_networks_or_by_neither(tmp_path: Path) -> Non
     assert metrics_of(training(tiny(tmp_path, metrics="[psnr]"))) == ["psnr"]
 
 
+@pytest.mark.proof
 def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
     run = training(tiny(tmp_path, metrics="[psnr, ssim]"))
     ((record,), errors) = train([run], tmp_path)
@@ -51,6 +52,7 @@ def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> No
     assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
 
 
+@pytest.mark.proof
 def test_a_missing_score_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("STEREOGS_MODELS")
     records, (error,) = train([training(tiny(tmp_path, metrics="[lpips]"))], tmp_path)

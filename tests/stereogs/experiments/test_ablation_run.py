@@ -113,6 +113,7 @@ def test_the_page_shows_photographs_named_by_numbers(
     assert [image["alt"] for image in page.images] == each_view * 2
 
 
+@pytest.mark.proof
 def test_a_failure_is_reported_and_other_results_are_kept(
     device: Device,
     tmp_path: Path,

@@ -85,6 +85,7 @@ def test_a_terminal_shows_a_bar_at_once_and_all_stages_in_order(tmp_path: Path) 
     assert "train --hang-after" not in plain
 
 
+@pytest.mark.proof
 def test_a_pipe_gets_one_line_for_each_stage(tmp_path: Path) -> None:
     done = subprocess.run(
         command(),

@@ -145,5 +145,6 @@ def test_all_frames_of_a_short_clip_are_chosen() -> None:
     assert chosen_frames(frames, 5) == [0, 10, 20, 30]
 
 
+@pytest.mark.proof
 def test_the_contract(clip: Path, cache: Path) -> None:
     check(VideoScene, path=clip, frames=4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
 from PIL import Image, ImageOps
 
 from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_name, index_of
@@ -14,6 +15,8 @@ from tests.stereogs_plugins.scenes.photos.photographs import turn
 
 if TYPE_CHECKING:
     from stereogs_plugins.scenes.photos.photogrammetry.colmap import Model
+
+pytestmark = pytest.mark.proof
 
 
 def first_two(model: Model) -> list[int]:

@@ -24,6 +24,8 @@ from tests.stereogs_plugins.scenes.photos.photographs import relative_turns, tur
 if TYPE_CHECKING:
     from stereogs_plugins.scenes.photos.photogrammetry.colmap import Model
 
+pytestmark = pytest.mark.proof
+
 
 @pytest.fixture
 def three(model: Model) -> Model:
