@@ -170,7 +170,8 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         least, most = prior.accepted_views
         name = prior.context.name
         if not least <= len(found) <= (most or len(found)):
-            _log.info("the prior %r accepts %d to %s photographs only", name, least, most)
+            accepted = f"{least} to {most}" if most else f"{least} or more"
+            _log.info("the prior %r accepts %s photographs, not %d", name, accepted, len(found))
             return []
         cameras = self._remembered(found, prior)
         _log.info(
