@@ -256,7 +256,7 @@ def test_a_prior_is_tried_for_photographs_that_do_not_connect(
     assert f"those of {COUNT if better else COUNT - 1} of {COUNT} photographs" in caplog.text
     with caplog.at_level(logging.INFO, logger="stereogs.photos"):
         loaded(folder, pair)
-    assert "the prior 'network' accepts 2 to 2 photographs only" in caplog.text
+    assert "the prior 'network' accepts 2 to 2 photographs, not" in caplog.text
     assert len(asked) == 3
 
 
