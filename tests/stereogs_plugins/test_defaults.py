@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ from torch.nn.functional import avg_pool2d
 import stereogs
 from registry import Scene, View
 from tests.data import data_folder
-from tests.host import Offer, Plugins, default_schedule, evaluate
+from tests.host import GROUP, Offer, Plugins, default_schedule, evaluate, installed_entries
 
-PLUGINS = Plugins()
+TOY_NORMALS = EntryPoint("toy_normals", "tests.stereogs_plugins.regularizers.toy_normals", GROUP)
+"""A prior of normals; every shipped one needs a file."""
+PLUGINS = Plugins([*installed_entries(), TOY_NORMALS])
 OFFERS = [
     offer
     for offer in PLUGINS.all()
@@ -51,6 +54,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "forward_warping": MAPS,
     "pearson_depth": {"priors": [MONOCULAR]},
     "distant_l1": {"priors": [MONOCULAR]},
+    "prior_normals": {"priors": ["toy_normals"]},
     "field_agreement": TWO_FIELDS,
     "co_pruning": TWO_FIELDS,
 }
