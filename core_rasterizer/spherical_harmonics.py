@@ -67,7 +67,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 def rotated_sh(sh: Tensor, rotation: Tensor) -> Tensor:
     """Return the coefficients of colours that turn with their Gaussians: new(R d) = old(d).
 
-    Each band is a space of its own under rotations; its matrix follows from values at directions.
+    A rotation does not mix the bands. The matrix of each is solved for from its values in some directions.
 
     Args:
         sh: `[N, K, 3]`, K = 1, 4, 9 or 16.

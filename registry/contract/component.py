@@ -123,9 +123,9 @@ class Component(Generic[SettingsType]):
             ]
             if written:
                 cls.Settings = written[0]
-        annotated = get_annotations(cls).get("settings")
-        name = getattr(annotated, "__name__", str(annotated)).strip("'\"").rpartition(".")[2]
-        if annotated is not None and name not in (base.__name__ for base in cls.Settings.__mro__):
+        annotated = _own_annotation(cls, "settings")
+        if isinstance(annotated, type) and not issubclass(cls.Settings, annotated):
+            name = annotated.__name__
             raise PluginError(
                 f"{cls.__name__} annotates `settings` as {name}, but they are {cls.Settings.__name__}",
                 where=f"{cls.__module__}.{cls.__qualname__}",
@@ -160,3 +160,15 @@ class Component(Generic[SettingsType]):
             source: `[N_new]` int64, the old index that each new Gaussian comes from.
             fresh: `[N_new]` bool, True for added Gaussians.
         """
+
+
+def _own_annotation(cls: type[Any], name: str) -> Any:
+    """Return the type in a class's own annotation; None without one, or if a name is not known yet."""
+    written = get_annotations(cls).get(name)
+    alone = type(
+        cls.__name__, (), {"__annotations__": {name: written}, "__module__": cls.__module__}
+    )
+    try:  # other annotations may name types that only type checkers import
+        return get_annotations(alone, eval_str=True)[name]
+    except NameError:
+        return None

@@ -59,13 +59,13 @@ class MonocularDepth:
         """`[H, W]` relative inverse depth, larger = nearer, with unknown scale and shift.
 
         Raises:
-            PluginError: it is depth with an unknown offset, which has no inverse.
+            PluginError: it is depth with an unknown offset, which cannot be inverted.
         """
         if self.inverse:
             return self.values
         if self.ambiguity == "affine":
             raise PluginError(
-                "the prior estimates depth with an unknown offset, which has no inverse",
+                "the prior estimates depth with an unknown offset, which cannot be inverted",
                 fix="use `prior.depth_of(view).farness`",
             )
         return 1 / self.values
@@ -201,7 +201,7 @@ def _confidence(confidence: Tensor | None, valid: Tensor) -> Tensor | None:
 
 
 def unit_normals(normals: Tensor) -> Tensor:
-    """Return normals `[H, W, 3]` of length 1, and 0 where they are not finite or have no length."""
+    """Return normals `[H, W, 3]` of length 1, and 0 where they are not finite or zero."""
     given = normals.detach().float()
     length = given.norm(dim=2)
     known = length.isfinite() & (length > 0)

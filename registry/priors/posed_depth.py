@@ -158,7 +158,7 @@ class PosedDepthPrior(Prior[SettingsType]):
             Camera(pose, fx, fy, cx, cy, width, height)
         except CameraError as error:
             raise PluginError(
-                f"the camera of photograph {index} is not one: {error.what}"
+                f"the camera of photograph {index} is not valid: {error.what}", fix=error.fix
             ) from error
         depth, confidence = answer.depth.detach().float(), answer.confidence.detach().float()
         if self.confidences == "logits":

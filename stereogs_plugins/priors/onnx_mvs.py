@@ -235,7 +235,7 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
         """Depth of the first view."""
         import torch
 
-        from registry.toolkit.networks.image_fitting import full_size_maps, in_range
+        from registry.toolkit.networks.image_fitting import depth_map, in_range
 
         family = self._family
         fit = self._fit(views[0])
@@ -250,16 +250,8 @@ class OnnxMvs(MultiViewDepthPrior[OnnxMvsSettings]):
                 **family.cameras(self._model, cameras, bounds, scale),
             }
         )
-        shape, path = (1, *fit.target), self._model.path
-        found = full_size_maps(family.depth, answers, shape, path)
-        known, confidence = found > 0, torch.ones_like(found)
-        if family.confidence in answers:
-            confidence = full_size_maps(family.confidence, answers, shape, path)
-            known &= confidence >= self.settings.min_confidence
-        depth = fit.undo(torch.where(known, found, torch.nan))[0]
-        valid = torch.isfinite(depth)
-        confidence = torch.where(valid, fit.undo(confidence)[0], 0.0)
-        return DepthMap(torch.where(valid, depth, 0.0), valid, confidence)
+        least = self.settings.min_confidence
+        return depth_map(family.depth, family.confidence, answers, fit, self._model.path, least)
 
     def _fit(self, view: TrainingView, target: tuple[int, int] | None = None) -> Fit:
         from registry.toolkit.networks.image_fitting import stretched

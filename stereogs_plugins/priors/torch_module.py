@@ -110,23 +110,13 @@ class TorchModule(MultiViewDepthPrior[TorchModuleSettings]):
 
     def _depth(self, views: Sequence[TrainingView], bounds: tuple[float, float]) -> DepthMap:
         """Depth of the first view."""
-        import torch
-
-        from registry.toolkit.networks.image_fitting import full_size_maps
+        from registry.toolkit.networks.image_fitting import depth_map
 
         fit = self._fit(views[0])
         inputs = self._inputs(views, fit.target, bounds)
         answers = self._answers([inputs[name] for name in self._types])
-        shape = (1, *fit.target)
-        found = full_size_maps(DEPTH, answers, shape, self._path)
-        known, confidence = found > 0, torch.ones_like(found)
-        if CONFIDENCE in answers:
-            confidence = full_size_maps(CONFIDENCE, answers, shape, self._path)
-            known &= confidence >= self.settings.min_confidence
-        depth = fit.undo(torch.where(known, found, torch.nan))[0]
-        valid = torch.isfinite(depth)
-        confidence = torch.where(valid, fit.undo(confidence)[0], 0.0)
-        return DepthMap(torch.where(valid, depth, 0.0), valid, confidence)
+        least = self.settings.min_confidence
+        return depth_map(DEPTH, CONFIDENCE, answers, fit, self._path, least)
 
     def _inputs(
         self, views: Sequence[TrainingView], target: tuple[int, int], bounds: tuple[float, float]
@@ -163,9 +153,10 @@ class TorchModule(MultiViewDepthPrior[TorchModuleSettings]):
             with torch.no_grad(), torch.random.fork_rng(devices=[]):
                 torch.manual_seed(0)
                 answer: Any = self._module(*arguments)
-        except (RuntimeError, torch.jit.Error) as error:  # the message ends with the error itself
+        except (RuntimeError, torch.jit.Error) as error:
+            reason = str(error).strip().rpartition("\n")[2]  # after the script's own traceback
             raise PluginError(
-                f"the module failed: {str(error).strip().rpartition(chr(10))[2]}",
+                f"the module failed: {reason}",
                 where=str(self._path),
                 fix="check that it takes these images: set `multiple` or `size`",
             ) from error

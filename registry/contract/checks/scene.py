@@ -75,7 +75,7 @@ def check_points(points: PointCloud, where: str = "") -> None:
 
     Raises:
         SceneError: a shape is wrong, a value is not finite, a scale is not positive, an opacity is not in
-            (0, 1), a quaternion has no length, or a colour is far outside [0, 1], as one of 0 to 255 is.
+            (0, 1), a quaternion is zero, or a colour is far outside [0, 1], as one of 0 to 255 is.
     """
     _raise_first(_point_faults(points), where)
 

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from ...contract.scene import DepthMap
 from ...errors import PluginError
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "FrozenShape",
     "Padding",
     "ValueRange",
+    "depth_map",
     "full_size_maps",
     "in_range",
     "padded",
@@ -180,3 +182,36 @@ def full_size_maps(
             fix="export the graph with an output at the size of its images, or choose such an output",
         )
     return answer.reshape(shape)
+
+
+def depth_map(
+    depth: str,
+    confidence: str | None,
+    answers: Mapping[str, Tensor],
+    fit: Fit,
+    where: Path,
+    min_confidence: float,
+) -> DepthMap:
+    """Return the depth of one image at its own size, from outputs at the size of the network.
+
+    Args:
+        depth, confidence: Names of the outputs; without confidence it is 1.
+        answers: All outputs by name.
+        where: Path of the model's file.
+        min_confidence: Depths with a lower confidence are invalid, as are those <= 0 or not finite.
+
+    Raises:
+        PluginError: An output has another shape than the network's images.
+    """
+    import torch
+
+    shape = (1, *fit.target)
+    found = full_size_maps(depth, answers, shape, where)
+    known, trust = found > 0, torch.ones_like(found)
+    if confidence is not None and confidence in answers:
+        trust = full_size_maps(confidence, answers, shape, where)
+        known &= trust >= min_confidence
+    values = fit.undo(torch.where(known, found, torch.nan))[0]
+    valid = torch.isfinite(values)
+    trust = torch.where(valid, fit.undo(trust)[0], 0.0)
+    return DepthMap(torch.where(valid, values, 0.0), valid, trust)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from registry import Prior, TrainingView
-    from registry.contract.scene import DepthMap
     from registry.toolkit.networks import OnnxModel
 
 LARGEST_CHANGE = 0.1
@@ -50,7 +49,10 @@ def fault_of_view_count(
     two, three, contradicted = (
         prior.estimate([first, second, *more], bounds)[0] for more in ([], [copy], [inverted])
     )
-    change = _change(two, three)
+    known = two.valid & three.valid
+    if not known.any():
+        return f"no pixel has a depth both from two views and from three. {REMEDY}"
+    change = float(((two.depth - three.depth).abs() / two.depth)[known].median())
     if change > LARGEST_CHANGE:
         return (
             f"a copy of the second view as third changes the depth by {change:.0%}: the graph keeps the "
@@ -60,11 +62,3 @@ def fault_of_view_count(
     if several and torch.equal(three.depth, contradicted.depth):
         return f"the depth does not depend on the third view. {REMEDY}"
     return ""
-
-
-def _change(one: DepthMap, other: DepthMap) -> float:
-    """Median relative difference where both depths are known; infinite if one is known nowhere."""
-    known = one.valid & other.valid
-    if not known.any():
-        return torch.inf
-    return float(((one.depth - other.depth).abs() / one.depth)[known].median())

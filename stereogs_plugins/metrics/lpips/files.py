@@ -96,8 +96,9 @@ def _script_network(module: torch.jit.ScriptModule, inputs: int, path: Path) -> 
             with torch.no_grad():
                 answer: Any = module(*images)
         except (RuntimeError, torch.jit.Error) as error:
+            reason = str(error).strip().rpartition("\n")[2]  # after the script's own traceback
             raise PluginError(
-                f"the network failed: {str(error).strip().rpartition(chr(10))[2]}",
+                f"the network failed: {reason}",
                 where=str(path),
                 fix="check that it takes images of this size",
             ) from error

@@ -90,7 +90,7 @@ def test_farness_and_nearness_are_what_the_ambiguity_allows() -> None:
     assert MonocularDepth(two).nearness == 2
     assert MonocularDepth(two, ambiguity="scale").farness == 0.5
     assert MonocularDepth(two, inverse=False).farness == 2
-    with pytest.raises(PluginError, match="no inverse"):
+    with pytest.raises(PluginError, match="cannot be inverted"):
         _ = MonocularDepth(two, inverse=False).nearness
 
 

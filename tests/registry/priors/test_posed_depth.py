@@ -78,9 +78,9 @@ def test_the_answer_is_checked_and_cached(cache: Path) -> None:
     [
         ({"depth": torch.ones(3, 4)}, r"depth is \(3, 4\), expected a tensor of shape \(24, 32\)"),
         ({"world_to_camera": torch.eye(3)}, r"world_to_camera is \(3, 3\)"),
-        ({"world_to_camera": 2 * torch.eye(4)}, "camera of photograph 0 is not one"),
-        ({"world_to_camera": torch.full((3, 4), torch.nan)}, "camera of photograph 0 is not one"),
-        ({"intrinsics": torch.zeros(3, 3)}, "camera of photograph 0 is not one"),
+        ({"world_to_camera": 2 * torch.eye(4)}, "camera of photograph 0 is not valid"),
+        ({"world_to_camera": torch.full((3, 4), torch.nan)}, "camera of photograph 0 is not valid"),
+        ({"intrinsics": torch.zeros(3, 3)}, "camera of photograph 0 is not valid"),
         ({"confidence": torch.full((24, 32), 7.0)}, "not 0 to 1"),
     ],
 )

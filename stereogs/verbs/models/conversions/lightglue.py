@@ -53,7 +53,7 @@ class _Network:
     def _within(self, value: str, turn: tuple[str, str], name: str) -> str:
         """Self-attention with rotary positions."""
         # Rows are ordered by head, channel, and query, key or value; channels turn in pairs. Queries and
-        # keys get the first channels of all pairs, then the second: their product has no order.
+        # keys get the first channels of all pairs, then the second; this order does not change their product.
         matrix = self._weights[f"{name}.Wqkv.weight"].reshape(_HEADS, _SIZE, 3, _WIDTH)
         bias = self._weights[f"{name}.Wqkv.bias"].reshape(_HEADS, _SIZE, 3)
         paired = [*range(0, _SIZE, 2), *range(1, _SIZE, 2)]

