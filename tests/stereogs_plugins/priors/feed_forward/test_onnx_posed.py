@@ -15,7 +15,7 @@ from registry import PluginError, View
 from registry.priors import PosedDepth
 from registry.testing import check
 from registry.toolkit.networks import OnnxModel
-from stereogs_plugins.priors.onnx_posed import OnnxPosed, stereogs_register_priors
+from stereogs_plugins.priors.feed_forward.onnx_posed import OnnxPosed, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.priors import graphs, rooms
 
