@@ -25,6 +25,7 @@ _VERBS = {
     "check": "verbs.check.verb:Check",
     "compare": "experiments.compare:Compare",
     "completion": "verbs.completion:Completion",
+    "data": "verbs.data.verb:Data",
     "demo": "verbs.demo:Demo",
     "doctor": "verbs.doctor:Doctor",
     "eval": "verbs.eval:Eval",

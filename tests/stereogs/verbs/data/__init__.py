@@ -1,0 +1,1 @@
+"""Tests of `stereogs.verbs.data`, which import its modules."""
