@@ -107,7 +107,9 @@ def test_scores_count_the_object(device: Device) -> None:
 def test_a_resumed_training_has_the_masks(device: Device) -> None:
     parts, scene = Parts(pipeline(prior(), iterations=6), device), disturbed()
     assert scene.points is not None
-    whole, half = (assemble(parts.for_field(0), with_prior_masks(scene, parts), scene.points) for _ in "ab")
+    whole, half = (
+        assemble(parts.for_field(0), with_prior_masks(scene, parts), scene.points) for _ in "ab"
+    )
     list(whole.run())
     for done in half.run():
         if done.number == 3:
