@@ -85,7 +85,10 @@ class OnnxGaussians(GaussiansPrior[OnnxGaussiansSettings]):
             to_world[:3, :3] *= _unit(cloud.positions, view, views, bounds)
             parts.append(cloud.transformed(to_world))
         names = ("positions", "colors", "scales", "opacities", "quaternions")
-        return PointCloud(**{name: torch.cat([getattr(p, name) for p in parts]) for name in names})
+        joined: dict[str, Any] = {
+            name: torch.cat([getattr(part, name) for part in parts]) for name in names
+        }
+        return PointCloud(**joined)
 
     def _of_camera(self, view: TrainingView) -> PointCloud:
         """Gaussians in the camera's coordinates, in the network's unit."""
