@@ -31,6 +31,7 @@ from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
     GaussiansPrior,
+    MaskPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -78,6 +79,7 @@ def _prior(bench: Bench, built: Any) -> Any:
         (MonocularDepthPrior, "depth", images[:1]),
         (MonocularDepthPrior, "depth_of", [views[0], bench.scene.points]),
         (NormalPrior, "normals_of", views[:1]),
+        (MaskPrior, "mask_of", views[:1]),
         (OpticalFlowPrior, "flow", images),
         (MatchingPrior, "matches", images),
         (GaussiansPrior, "gaussians", [views, bench.scene.bounds]),
@@ -152,6 +154,7 @@ def _regularizer(bench: Bench, built: Any) -> Any:
 def _gradients(step: Step, built: Any) -> list[Tensor]:
     """Return the gradients of the Gaussians and of the component's own parameters; all finite."""
     own = [tensor.grad for group in built.parameters() for tensor in group.tensors]
+    own += [feature.grad for feature in step.features.values()]
     gradients = [step.model.gradient(name) for name in PARAMETERS]
     gradients += [gradient for gradient in own if gradient is not None]
     for gradient in gradients:

@@ -108,13 +108,14 @@ class Field:
         for part in parts.training:
             with part.at_work(guard=self._inputs):
                 part.component.begin_training(scene)
-        self.parameters = ComponentParameters(parts)
-        self._trained = [model.anchor, *self.parameters.tensors]
+        self.parameters = ComponentParameters(parts, GaussianReader(model))
         self._extent, self._reader = scene.extent, GaussianReader(model)
         self._access = Access()
         self._step_reader = StepReader(model, self._access)
         asking = [part for part in parts.training if part.item.host.weight > 0 and part.declared]
-        self._collecting = [part for part in asking if part.declared & COLLECTED]
+        # The host itself ranks the Gaussians that `max_gaussians` drops.
+        ranked = () if settings.max_gaussians is None else parts["densification"]
+        self._collecting = [*(part for part in asking if part.declared & COLLECTED), *ranked]
         self._served = [part for part in asking if part.declared & OUTPUTS.keys()]
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
@@ -123,7 +124,9 @@ class Field:
         self._follow_kinds()
 
     def _follow_kinds(self) -> None:
-        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
+        self._trained = [self.model.anchor, *self.parameters.tensors]
+        features = {f"the feature {name}": v for name, v in self.parameters.features.items()}
+        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(features, (self.model,))
 
     def begin(self, iteration: int, view: TrainingView) -> None:
         """Apply schedules and samplers."""
@@ -150,6 +153,7 @@ class Field:
             maps=self._maps,
             learning_rates=MappingProxyType(learning_rates(iteration, settings, self._extent)),
             kinds=MappingProxyType(self.kinds),
+            features=MappingProxyType(self.parameters.features),
             makers=OUTPUTS,
             access=self._access,
         )
@@ -166,7 +170,8 @@ class Field:
         for part in self._regularizers("alone"):
             zero_gradients(self.model, self.parameters)
             step.rendered(cache(lambda: step.render(step.sample.camera)))
-            self._serve([part])
+            if part in self._served:
+                self._serve([part])
             with part.at_work(step.iteration, self.guard):
                 moves = check_moves(part.component.moves, PARAMETER_GROUPS)
             term = self._term(part)
@@ -195,20 +200,15 @@ class Field:
             sh_degree=sample.sh_degree,
             opacity_scale=scale,
             smoothing=sample.smoothing,
-            collect_statistics=bool(collecting) or self._ranks(step.iteration),
+            collect_statistics=bool(collecting),
             collect_absolute=any("absolute_screen_gradient" in p.declared for p in collecting),
         )
         self._changed_images = self._rendering.watch()
         self.guard += of_rendering(self._rendering) + of_sample(sample)
         step.rendered(lambda: self._rendering)
-        due = [part for part in self._served if part.item.host.due(step.iteration)]
-        self._serve([part for part in due if part.item.host.step == "together"])
-
-    def _ranks(self, iteration: int) -> bool:
-        """Whether the host needs screen gradients itself, to choose which Gaussians `max_gaussians` drops."""
-        return self._settings.max_gaussians is not None and not all(
-            part.item.schedule.over(iteration) for part in self.parts["densification"]
-        )
+        if self._served:
+            due = [part for part in self._served if part.item.host.due(step.iteration)]
+            self._serve([part for part in due if part.item.host.step == "together"])
 
     def _serve(self, parts: Sequence[Part]) -> None:
         """Make the outputs that components declare, once for all, and guard them."""
@@ -284,6 +284,7 @@ class Field:
             with blame(part.item, iteration):
                 carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
             self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+            self.parameters.carry(carried.source, carried.fresh)
             self._follow_kinds()
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
             self._step.carry_outputs(carried.source)
