@@ -56,6 +56,7 @@ if TYPE_CHECKING:
         Register as Register,
         Regularizer as Regularizer,
         Render as Render,
+        Rendered as Rendered,
         Report as Report,
         RunError as RunError,
         Sample as Sample,

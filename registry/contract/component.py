@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from core_rasterizer import Device
 
+    from .rendered import Rendered
     from .scene import TrainingScene
 
 
@@ -109,8 +110,6 @@ class Component(Generic[SettingsType]):
     needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
     """Capabilities of the priors that it uses; a nested tuple means any of these, the first preferred.
     Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""
-    needs_fields: ClassVar[int] = 1
-    """Minimum number of fields of Gaussians (`training.fields`)."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)
@@ -138,6 +137,20 @@ class Component(Generic[SettingsType]):
         self.settings = settings
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)
+
+    @classmethod
+    def needs_rendered(cls, settings: SettingsType) -> tuple[Rendered, ...]:
+        """Return what the host renders or collects for a component with these settings; nothing by default.
+
+        - "normals": `step.normals`
+        - "contributions": `step.contributions`
+        - "other_fields": `step.others`; training has two fields or more (`training.fields`)
+        - "screen_gradient": `step.model.screen_gradient()`
+        - "absolute_screen_gradient": `step.model.absolute_screen_gradient()`
+
+        For components of the training loop. What a component does not declare, it cannot use.
+        """
+        return ()
 
     def begin_training(self, scene: TrainingScene) -> None:
         """Called once for each component of the training loop, before `restore` and `parameters`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -133,20 +132,24 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 def _photos(model: ColmapModel, images: Path, with_masks: bool) -> list[PosedPhoto]:
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
     names = view_names([image.name.replace("\\", "/") for _, image in model.images])
-    masks: Sequence[Path | None] = [None] * len(names)
-    if with_masks:
-        masks = masks_beside(images, [image.name for _, image in model.images])
+    paths = [
+        inside(images, image.name, where)
+        for (_, image), where in zip(model.images, places, strict=True)
+    ]
+    masks = masks_beside(images, paths) if with_masks else [None] * len(paths)
     return [
         PosedPhoto(
             name=name,
-            path=inside(images, image.name, where),
+            path=path,
             world_to_camera=image.world_to_camera,
             lens=model.lens(image),
             where=where,
             mask=mask,
             mask_trains=True,
         )
-        for (_, image), name, where, mask in zip(model.images, names, places, masks, strict=True)
+        for (_, image), name, path, where, mask in zip(
+            model.images, names, paths, places, masks, strict=True
+        )
     ]
 
 

@@ -33,6 +33,7 @@ from registry.toolkit.photos import (
     has_colmap_model,
     inside,
     list_images,
+    masks_beside,
     pose_from_axes,
     read_array,
     read_arrays,
@@ -61,6 +62,9 @@ class LLFFSettings(SplitSettings, ImageSourceSettings):
     `estimate`, because its files have the same two numbers for every scene."""
     points: bool = True
     """Use those structure-from-motion points, if any, that the training views see."""
+    masks: bool = True
+    """Exclude pixels where a mask is black from training and scores. The mask of images_8/a.jpg is a.jpg.png
+    or a.png in masks_8 or masks."""
 
 
 class LLFFScene(SceneLoader[LLFFSettings]):
@@ -89,11 +93,17 @@ class LLFFScene(SceneLoader[LLFFSettings]):
                 fix="set `path` to the folder with poses_bounds.npy",
             )
         rows = read_poses(folder / "poses_bounds.npy")
-        images = _image_of_each_row(folder, settings.image_folder(folder), len(rows))
+        image_folder = settings.image_folder(folder)
+        images = _image_of_each_row(folder, image_folder, len(rows))
+        masks = masks_beside(image_folder, images) if settings.masks else [None] * len(images)
         train, test, rule = settings.split(len(rows), str(folder))
         photos = [
-            PosedPhoto(path.stem, path, row.world_to_camera, row.lens, row.where)
-            for path, row in ((images[index], rows[index]) for index in train + test)
+            PosedPhoto(
+                *(images[k].stem, images[k], rows[k].world_to_camera, rows[k].lens, rows[k].where),
+                mask=masks[k],
+                mask_trains=True,
+            )
+            for k in train + test
         ]
         loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
         loaded.require_one_size()

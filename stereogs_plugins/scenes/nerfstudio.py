@@ -31,6 +31,7 @@ from registry.toolkit.photos import (
     divided_by,
     estimate_bounds,
     find_image,
+    find_masks,
     inside,
     pose_from_opengl,
     read_document,
@@ -57,7 +58,8 @@ class NerfstudioSettings(SplitSettings):
     """Use the points of `ply_file_path`. They include points seen only by test views, so scores are not
     comparable with other methods."""
     masks: bool = True
-    """Exclude pixels where the image of `mask_path` is black from training and scores."""
+    """Exclude pixels where the image of `mask_path` is black from training and scores. If no frame has one,
+    the mask of images/a.jpg is a.jpg.png or a.png in masks."""
 
 
 class NerfstudioScene(SceneLoader[NerfstudioSettings]):
@@ -254,11 +256,11 @@ def _photos(
     ]
     order = sorted(range(len(relative)), key=lambda index: relative[index])
     names = view_names([relative[index] for index in order])
+    masks = _masks(folder, path, transforms, relative) if with_masks else [None] * len(relative)
     photos = []
     for index, name in zip(order, names, strict=True):
         frame, where = transforms.frames[index], f"{path}, frame {index}"
         file = folder / relative[index]
-        mask = frame.mask_path if with_masks else None
         photos.append(
             PosedPhoto(
                 name=name,
@@ -266,11 +268,23 @@ def _photos(
                 world_to_camera=pose_from_opengl(frame.transform_matrix, where),
                 lens=_lens_of(frame, transforms, file, where),
                 where=where,
-                mask=inside(folder, mask, where) if mask else None,
+                mask=masks[index],
                 mask_trains=True,
             )
         )
     return photos
+
+
+def _masks(
+    folder: Path, path: Path, transforms: _Transforms, relative: list[str]
+) -> list[Path | None]:
+    """Return the mask of each frame: that of `mask_path`, or one with the photograph's name."""
+    if not any(frame.mask_path for frame in transforms.frames):
+        return find_masks(folder, [folder / name for name in relative])
+    return [
+        inside(folder, frame.mask_path, f"{path}, frame {index}") if frame.mask_path else None
+        for index, frame in enumerate(transforms.frames)
+    ]
 
 
 def _read_points(folder: Path, transforms: _Transforms, path: Path) -> PointCloud | None:

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         longest_side as longest_side,
         open_8_bit as open_8_bit,
         read_heif as read_heif,
+        stored_form as stored_form,
         stored_size as stored_size,
         upright_size as upright_size,
     )
@@ -62,7 +63,12 @@ if TYPE_CHECKING:
         PosedPhoto as PosedPhoto,
         usable_photos as usable_photos,
     )
-    from .masks import masks_beside as masks_beside
+    from .mask_files import (
+        are_masks as are_masks,
+        find_masks as find_masks,
+        masks_beside as masks_beside,
+    )
+    from .masks import read_mask as read_mask
     from .reading import (
         IMAGE_SUFFIXES as IMAGE_SUFFIXES,
         Finite as Finite,

@@ -53,7 +53,7 @@ IMAGE_FIX = "restore the photograph, or save it again as an 8-bit PNG or JPEG"
 HEIF_SUFFIXES = (".heic", ".heif")
 """Suffixes of HEIC files, the format of phones, in lower case; see `read_heif`."""
 _ORIENTATION = 0x0112
-_QUARTER_TURNS = (5, 6, 7, 8)
+QUARTER_TURNS = (5, 6, 7, 8)
 """Values of this EXIF tag that exchange width and height."""
 EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 _CACHED = "image.png"
@@ -267,8 +267,28 @@ def stored_size(path: Path, *, upright: bool = False) -> Size:
         return upright_size(file) if upright else file.size
 
 
+def stored_form(path: Path) -> tuple[Size, int]:
+    """Return `stored_size` and `exif_orientation` of an image file. Raises as `open_image`."""
+    with open_image(path) as file:
+        return file.size, exif_orientation(file)
+
+
+def exif_orientation(file: Image.Image) -> int:
+    """Return the EXIF orientation, 1 to 8; 1 if it is missing or means nothing."""
+    value = file.getexif().get(_ORIENTATION, 1)
+    return value if value in range(1, 9) else 1
+
+
+def turned_by(image: Image.Image, orientation: int) -> Image.Image:
+    """Return an image turned by an EXIF orientation, instead of its own."""
+    from PIL import ImageOps
+
+    image.getexif()[_ORIENTATION] = orientation
+    return ImageOps.exif_transpose(image)
+
+
 def upright_size(file: Image.Image) -> Size:
     """Return `(width, height)` of a photograph after rotation by its EXIF orientation."""
     width, height = file.size
-    turned = file.getexif().get(_ORIENTATION) in _QUARTER_TURNS
+    turned = exif_orientation(file) in QUARTER_TURNS
     return (height, width) if turned else (width, height)

@@ -61,6 +61,15 @@ class Lens:
         """True if straight lines stay straight. A fisheye bends them even with coefficients of 0."""
         return self.model not in _FISHEYES and not any(self.distortion)
 
+    def fits(self, width: int, height: int) -> bool:
+        """Return whether a photograph of this size has the lens's shape, to a pixel of the smaller one."""
+        scale_x, scale_y = width / self.width, height / self.height
+        pixel = max(1, scale_x, scale_y)
+        return (
+            abs(scale_x * self.height - height) <= pixel
+            or abs(scale_y * self.width - width) <= pixel
+        )
+
     def resized(self, width: int, height: int, where: str) -> Lens:
         """Return the lens for the photograph at another size.
 
@@ -68,19 +77,15 @@ class Lens:
             SceneError: A number is not finite or not positive, or the aspect ratio differs by more than
                 a pixel of the smaller size.
         """
-        self._check(where)
-        scale_x, scale_y = width / self.width, height / self.height
-        pixel = max(1, scale_x, scale_y)
-        if (
-            abs(scale_x * self.height - height) > pixel
-            and abs(scale_y * self.width - width) > pixel
-        ):
+        self.check(where)
+        if not self.fits(width, height):
             raise SceneError(
                 f"the images are {width}x{height}, but the camera file was made for "
                 f"{self.width:g}x{self.height:g}, which has another shape",
                 where=where,
                 fix="use the images that belong to this camera file, not cropped or rotated",
             )
+        scale_x, scale_y = width / self.width, height / self.height
         fx, fy, cx, cy = self.fx * scale_x, self.fy * scale_y, self.cx * scale_x, self.cy * scale_y
         return Lens(fx, fy, cx, cy, width, height, self.model, self.distortion)
 
@@ -100,7 +105,12 @@ class Lens:
         except CameraError as error:
             raise SceneError(error.what, where=where, fix=error.fix) from error
 
-    def _check(self, where: str) -> None:
+    def check(self, where: str) -> None:
+        """Check the numbers.
+
+        Raises:
+            SceneError: One is not finite, or not positive where it must be.
+        """
         positive = {
             "focal length fx": self.fx,
             "focal length fy": self.fy,

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from ...contract.checks.scene import validate
 from ...contract.scene import Fact, PointCloud, Scene, View
 from ...errors import SceneError
 from ..progress.parallel import in_parallel
 from .copies import Impression
-from .decoder import Decoder, stored_size
+from .decoder import QUARTER_TURNS, Decoder, stored_form, stored_size
 from .lens import Lens, import_pycolmap, undistort
 from .masks import points_in_training, read_mask, report_masks
 from .reading import existing_image, find_image
@@ -35,6 +35,8 @@ MIN_TO_JUDGE = 4
 _MAX_PAIRS = 6
 _FINER = 2
 """Photographs are undistorted at this multiple of their size, because bilinear resampling blurs them."""
+_TURNED = "are turned by their EXIF data, because their cameras only fit then"
+_AS_STORED = "have an EXIF orientation; their cameras are those of the pixels as stored"
 
 
 _log = logging.getLogger("stereogs.photos")
@@ -135,20 +137,32 @@ def _impression(view: View) -> Impression:
     return Impression.of(Image.fromarray(to_bytes(view.image)))
 
 
-def _load_view(photo: PosedPhoto, decoder: Decoder) -> tuple[View, str]:
-    """Return the view, and the rule of its mask in words."""
+class _LoadedView(NamedTuple):
+    """A view, and the rules of its mask and of its EXIF orientation in words, empty where none is needed."""
+
+    view: View
+    mask_rule: str
+    turn_rule: str
+
+
+def _load_view(photo: PosedPhoto, decoder: Decoder) -> _LoadedView:
     import numpy as np
     import torch
 
     path = find_image(photo.path)
-    decoder = _decoder_of(photo, decoder)
+    posed = not decoder.upright
+    decoder, orientation = _decoder_of(photo, decoder)
     pixels, alpha = decoder.read(path), decoder.read_alpha(path)
     height, width = pixels.shape[:2]
     distorted = photo.lens.resized(width, height, photo.where)
     lens, pixels = _straight(distorted, pixels, photo.where)
     mask, rule = None, ""
     if photo.mask is not None:
-        marked, rule = read_mask(photo.mask, (width, height), white_only=photo.white_mask)
+        marked, rule = read_mask(
+            *(photo.mask, (width, height)),
+            white_only=photo.white_mask,
+            orientation=orientation if decoder.upright else 1,
+        )
         mask = torch.from_numpy(_straight(distorted, marked, photo.where)[1] == 255)
     if alpha is not None:
         _, alpha = _straight(distorted, alpha, photo.where)
@@ -160,19 +174,29 @@ def _load_view(photo: PosedPhoto, decoder: Decoder) -> tuple[View, str]:
         alpha=None if alpha is None else torch.from_numpy(alpha.astype(np.float32) / 255),
         weights=mask.float() if mask is not None and photo.mask_trains else None,
     )
-    return view, rule
+    turn = ""
+    if posed and orientation != 1:
+        turn = _TURNED if decoder.upright else _AS_STORED
+    return _LoadedView(view, rule, turn)
 
 
-def _decoder_of(photo: PosedPhoto, decoder: Decoder) -> Decoder:
-    """The decoder, for `_FINER` times the size if the photograph must be undistorted."""
+def _decoder_of(photo: PosedPhoto, decoder: Decoder) -> tuple[Decoder, int]:
+    """The decoder, for `_FINER` times the size if the photograph must be undistorted; its EXIF orientation.
+
+    Cameras belong to the pixels as stored, as COLMAP's do, unless they only fit those turned by EXIF.
+    """
+    size, orientation = stored_form(find_image(photo.path))
+    photo.lens.check(photo.where)
+    if orientation in QUARTER_TURNS and not photo.lens.fits(*size):
+        decoder = replace(decoder, upright=decoder.upright or photo.lens.fits(*size[::-1]))
     if photo.lens.is_pinhole:
-        return decoder
+        return decoder, orientation
 
-    def size(width: int, height: int) -> Size:
+    def finer(width: int, height: int) -> Size:
         width, height = decoder.size(width, height)
         return _FINER * width, _FINER * height
 
-    return replace(decoder, size=size, resize_filter="lanczos")
+    return replace(decoder, size=finer, resize_filter="lanczos"), orientation
 
 
 def _straight(lens: Lens, pixels: Pixels, where: str) -> tuple[Lens, Pixels]:
@@ -217,8 +241,13 @@ class LoadedPhotos:
         if not all(photo.lens.is_pinhole for photo in photos):
             import_pycolmap()  # here, because threads cannot restore the handler of SIGTERM
         loaded = in_parallel(lambda photo: _load_view(photo, decoder), photos, stage="reading")
-        views = [view for view, _ in loaded]
-        report_masks([photo.mask for photo in photos], views, [rule for _, rule in loaded])
+        views = [read.view for read in loaded]
+        report_masks([photo.mask for photo in photos], views, [read.mask_rule for read in loaded])
+        for rule in sorted({read.turn_rule for read in loaded} - {""}):
+            names = [read.view.name for read in loaded if read.turn_rule == rule]
+            _log.info(
+                "%d of %d photographs %s: %s", len(names), len(photos), rule, ", ".join(names)
+            )
         _warn_of_copies(views[: len(train)], views[len(train) :])
         return cls(photos, views, decoder, train, test)
 
@@ -296,13 +325,14 @@ class LoadedPhotos:
 
 def _changes(photo: PosedPhoto, decoder: Decoder) -> list[str]:
     """Describe how the decoder and `_straight` change a photograph."""
-    stored = stored_size(find_image(photo.path), upright=decoder.upright)
+    own, _ = _decoder_of(photo, decoder)
+    stored = stored_size(find_image(photo.path), upright=own.upright)
     size = decoder.size(*stored)
     changes = []
     if size != stored:
         changes.append(
             f"resized from {stored[0]}x{stored[1]} to {size[0]}x{size[1]} "
-            f"with the {_decoder_of(photo, decoder).resize_filter} filter"
+            f"with the {own.resize_filter} filter"
         )
     if not photo.lens.is_pinhole:
         changes.append(

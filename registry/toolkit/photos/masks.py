@@ -1,4 +1,4 @@
-"""Masks beside photographs: find them, read them, and leave out what they exclude."""
+"""Read the masks of photographs, and leave out what they exclude."""
 
 from __future__ import annotations
 
@@ -7,8 +7,14 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from ...errors import SceneError
-from .decoder import EIGHT_BIT_MODES, alpha_channel, open_image
-from .reading import existing_image, inside
+from .decoder import (
+    EIGHT_BIT_MODES,
+    QUARTER_TURNS,
+    alpha_channel,
+    exif_orientation,
+    open_image,
+    turned_by,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -27,38 +33,9 @@ _FIX = "restore the mask, or remove it from the scene; `masks: false` ignores al
 _log = logging.getLogger("stereogs.photos")
 
 
-def masks_beside(images: Path, names: Sequence[str]) -> list[Path | None]:
-    """Return the mask of each photograph from the folder `masks` beside that of the photographs.
-
-    `images_2/a.jpg` has the mask `masks_2/a.jpg.png` (COLMAP), or `masks_2/a.png` (nerfstudio), or one of
-    these in `masks`. A warning says if a folder has masks, but none of these names.
-
-    Args:
-        images: Folder of the photographs.
-        names: Names of the photographs in it, with `/` between folders.
-    """
-    beside = (images.name.replace("images", "masks", 1), "masks")
-    folders = [images.parent / name for name in dict.fromkeys(beside) if name != images.name]
-    found = [_mask_named(folders, name.replace("\\", "/")) for name in names]
-    present = [folder for folder in folders if folder.is_dir() and any(folder.rglob("*.*"))]
-    if present and not any(found):
-        _log.warning(
-            "the masks in %s are not used: none is named as a photograph, for example %s.png",
-            *(present[0], names[0]),
-        )
-    return found
-
-
-def _mask_named(folders: Iterable[Path], name: str) -> Path | None:
-    for folder in folders:
-        for candidate in (f"{name}.png", name):
-            path = existing_image(inside(folder, candidate, str(folder)))
-            if path is not None:
-                return path
-    return None
-
-
-def read_mask(path: Path, size: Size, *, white_only: bool = False) -> tuple[Pixels, str]:
+def read_mask(
+    path: Path, size: Size, *, white_only: bool = False, orientation: int = 1
+) -> tuple[Pixels, str]:
     """Return a mask, `[H, W]` uint8, 255 where pixels count; between where the resized mask has an edge.
 
     A pixel counts if it is not black, whatever the largest value is: 0 and 1, 0 and 255, labels, colours and
@@ -67,6 +44,8 @@ def read_mask(path: Path, size: Size, *, white_only: bool = False) -> tuple[Pixe
 
     Args:
         white_only: Only pure white counts, as in DTU's masks.
+        orientation: EXIF orientation by which the photograph was turned. The mask is turned too if its own
+            EXIF data say so, or if it only fits the photograph then.
 
     Returns:
         The mask, and the rule in words; empty if the mask is just black and white.
@@ -79,22 +58,34 @@ def read_mask(path: Path, size: Size, *, white_only: bool = False) -> tuple[Pixe
 
     with open_image(path, "the mask", _FIX) as file:
         width, height = file.size
-        if abs(width * size[1] / height - size[0]) > max(1.0, size[0] / width):
+        turn = exif_orientation(file) if orientation != 1 else 1
+        if turn == 1 and not _same_shape((width, height), size):
+            turn = orientation
+        if not _same_shape((height, width) if turn in QUARTER_TURNS else (width, height), size):
             raise SceneError(
                 f"the mask is {width}x{height}, its photograph {size[0]}x{size[1]}, which has another shape",
                 where=str(path),
                 fix="make the mask from this photograph, in the same orientation",
             )
-        rule = ""
+        rules = []
         if white_only:
             marked = file.convert("L")
         else:
             values, rule = _mask_values(file)
             least = values.max() / 2 if file.format in _LOSSY else 0
             marked = Image.fromarray(np.where(values > least, 255, 0).astype(np.uint8))
+            rules.append(rule)
+        marked = turned_by(marked, turn)
+        if orientation != 1 and turn == 1:
+            rules.append("taken as the photograph is shown after turning it by its EXIF data")
         same = marked.size == size
         resized = marked if same else marked.resize(size, Image.Resampling.BICUBIC)
-        return np.asarray(resized), rule
+        return np.asarray(resized), "; ".join(filter(None, rules))
+
+
+def _same_shape(mask: Size, photo: Size) -> bool:
+    width, height = mask
+    return abs(width * photo[1] / height - photo[0]) <= max(1.0, photo[0] / width)
 
 
 def _mask_values(file: Image.Image) -> tuple[NDArray[np.float64], str]:

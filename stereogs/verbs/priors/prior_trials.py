@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from core_rasterizer import Camera
 from registry import PluginError, Prior, TrainingView
 from registry.calls.blame import blame as blamed
 from registry.contract.hook_points import HOOK_POINTS
@@ -28,6 +29,8 @@ from registry.priors import (
     MonocularDepthPrior,
     MultiViewDepthPrior,
     OpticalFlowPrior,
+    PosedDepth,
+    PosedDepthPrior,
     StereoPrior,
 )
 
@@ -207,6 +210,8 @@ def score(prior: Prior[Any], truth: Truth) -> Score:
         return _pixels(errors.where(flow.valid, torch.inf)[truth.visible])
     if isinstance(prior, MultiViewDepthPrior):
         return _depths(prior, truth)
+    if isinstance(prior, PosedDepthPrior):
+        return _reprojected(prior, truth)
     if isinstance(prior, MonocularDepthPrior):
         found = prior.depth(first.image)
         return _order(-found.farness, 1 / _depth(first), found.valid)
@@ -246,6 +251,36 @@ def _depths(prior: MultiViewDepthPrior[Any], truth: Truth) -> Score:
         f"depth correct within {RELATIVE_DEPTH:.0%} in {share:.1%} of all pixels, and in {of_known:.1%} "
         f"of the {known:.0%} with a prediction",
     )
+
+
+def _reprojected(prior: PosedDepthPrior[Any], truth: Truth) -> Score:
+    """Score where cameras and depth of the first view place its pixels in the second: without any unit."""
+    first, second = prior.estimate(*asked(prior, truth.views))[:2]
+    height, width = truth.visible.shape
+    here, there = (_camera(answer, width, height) for answer in (first, second))
+    u, v = here.pixel_centers()
+    points = here.unproject(u.ravel(), v.ravel(), first.depth.double().ravel())
+    there_u, there_v, there_z = (x.reshape(u.shape) for x in there.project(points))
+    errors = (torch.stack([there_u - u, there_v - v], dim=2) - truth.moved).norm(dim=2)
+    known = errors.isfinite() & (first.depth > 0) & (there_z > 0)
+    return _pixels(errors.where(known, torch.inf)[truth.visible])
+
+
+def asked(
+    prior: PosedDepthPrior[Any], views: Sequence[TrainingView]
+) -> tuple[list[Tensor], list[Tensor | None]]:
+    """Return images and unknown intrinsics for a call, with the last view again if there are too few."""
+    least, most = prior.accepted_views
+    wanted = max(least, min(len(views), most or len(views)))
+    images = [views[min(k, len(views) - 1)].image for k in range(wanted)]
+    return images, [None] * wanted
+
+
+def _camera(answer: PosedDepth, width: int, height: int) -> Camera:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3] = answer.world_to_camera[:3]
+    (fx, _, cx), (_, fy, cy), _ = answer.intrinsics.tolist()
+    return Camera(pose, fx, fy, cx, cy, width, height)
 
 
 def _order(answer: Tensor, expected: Tensor, valid: Tensor | None) -> Score:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.networks import KeypointNetworks
-from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model
+from registry.toolkit.photos import ColmapModel, Decoder, longest_side, read_colmap_model, read_mask
 
 from .photogrammetry.mapping import Piece, placed
 from .photogrammetry.structure_from_motion import Reconstruction
@@ -82,8 +82,9 @@ def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
         treatment,
         version("pycolmap"),
         *(path.read_bytes() for path in code),
-        source_digest(KeypointNetworks, UnposedPhoto, Decoder, longest_side),
+        source_digest(KeypointNetworks, UnposedPhoto, Decoder, longest_side, read_mask),
         *(photo.digest for photo in photos),
+        *(b"" if photo.mask is None else photo.mask.read_bytes() for photo in photos),
     )
 
 

@@ -26,6 +26,8 @@ from registry.toolkit.photos import (
 from .picture_files import COMPANION, is_picture_folder, left_out_lines, reason_lines
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from registry.priors import PosedDepthPrior
 
     from .disconnected import LargestGroup
@@ -55,6 +57,9 @@ class PhotosSettings(SplitSettings):
     each, which needs many more photographs."""
     matching_size: int = Field(1200, ge=64)
     """Longer side of the photographs for camera estimation, in pixels."""
+    masks: bool = True
+    """Exclude pixels where a mask is black from camera estimation, training and scores. The mask of a.jpg is
+    a.jpg.png or a.png in a folder masks."""
     cameras: str | None = None
     """Prior with the capability "posed_depth" whose cameras matches refine and check. null finds cameras by
     matches, and tries such a prior of the pipeline for photographs that do not connect."""
@@ -98,7 +103,7 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
         settings = self.settings
         folder = settings.path.expanduser()
-        found, other_files = read_folder(folder)
+        found, other_files = read_folder(folder, with_masks=settings.masks)
         _warn_of_left_out(folder, other_files)
         names = [photo.name for photo in found]
         cameras = self._find_cameras(found)
@@ -229,6 +234,8 @@ def _posed(model: ColmapModel, found: list[UnposedPhoto]) -> list[PosedPhoto]:
             world_to_camera=image.world_to_camera,
             lens=model.lens(image),
             where=str(found[k].path),
+            mask=found[k].mask,
+            mask_trains=True,
         )
         for _, image in model.images
         for k in [image_index(image.name)]
@@ -261,10 +268,17 @@ def _turned_upright(loaded: LoadedPhotos) -> tuple[LoadedPhotos, list[str]]:
         return loaded, []
 
     def upright(view: View, count: int) -> View:
-        assert view.mask is None  # this loader has none
-        alpha = None if view.alpha is None else torch.rot90(view.alpha, count).contiguous()
-        image = torch.rot90(view.image, count).contiguous()
-        return replace(view, camera=turned(view.camera, count), image=image, alpha=alpha)
+        def rotated(layer: Tensor | None) -> Tensor | None:
+            return None if layer is None else torch.rot90(layer, count).contiguous()
+
+        return replace(
+            view,
+            camera=turned(view.camera, count),
+            image=torch.rot90(view.image, count).contiguous(),
+            alpha=rotated(view.alpha),
+            mask=rotated(view.mask),
+            weights=rotated(view.weights),
+        )
 
     names = [view.name for view, count in zip(views, quarters, strict=True) if count]
     _log.warning(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from registry import SceneError
-from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, read_heif
+from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, are_masks, read_heif
 
 UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 """Suffixes of unsupported picture formats, which are left out."""
@@ -110,8 +110,8 @@ def _is_data(path: Path) -> bool:
     )
 
 
-def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
-    """Photographs of a folder and its subfolders, sorted by path, and the other files.
+def readable_pictures(folder: Path) -> tuple[list[Path], list[Path], list[LeftOut]]:
+    """Photographs of a folder and its subfolders, sorted by path, their masks, and the other files.
 
     Raises:
         SceneError: the folder is missing.
@@ -125,6 +125,9 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
     content = list_content(folder)
     drawn = [path for path in content.pictures if path.suffix.lower() == ".png" and _drawn(path)]
     content.pictures[:] = [path for path in content.pictures if path not in drawn]
+    marked = are_masks(content.pictures, folder)
+    masks = list(itertools.compress(content.pictures, marked))
+    content.pictures[:] = [path for path in content.pictures if path not in masks]
     without_suffix = {path.with_suffix("") for path in content.pictures}
     left_out = [LeftOut(path, COMPANION) for path in content.companions]
     left_out += [LeftOut(path, "the folder of a training run") for path in content.runs]
@@ -142,7 +145,7 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[LeftOut]]:
         )
         left_out += [LeftOut(path, reason) for path in heif]
         content.pictures[:] = [path for path in content.pictures if path not in heif]
-    return content.pictures, left_out
+    return content.pictures, masks, left_out
 
 
 def _drawn(path: Path) -> bool:

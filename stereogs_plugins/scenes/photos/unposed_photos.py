@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from registry import SceneError
-from registry.toolkit.photos import Impression, Size, open_8_bit, upright_size
+from registry.toolkit.photos import Impression, Size, find_masks, open_8_bit, upright_size
 from registry.toolkit.progress import in_parallel
 
 from .photogrammetry.thresholds import EXIF_FOCAL_RANGE, MIN_PHOTOS
@@ -49,6 +49,7 @@ class UnposedPhoto:
         transparent: True if some pixels are not opaque.
         grey: True if it has no colours.
         impression: recognizes copies.
+        mask: image that is black where nothing is matched or trained; None: everything counts.
     """
 
     path: Path
@@ -61,6 +62,7 @@ class UnposedPhoto:
     transparent: bool
     grey: bool
     impression: Impression = field(compare=False, repr=False)
+    mask: Path | None = None
 
 
 class PictureFolder(NamedTuple):
@@ -75,8 +77,8 @@ class PictureFolder(NamedTuple):
     left_out: list[LeftOut]
 
 
-def read_folder(folder: Path) -> PictureFolder:
-    """Read the pictures in a folder and its subfolders.
+def read_folder(folder: Path, *, with_masks: bool = True) -> PictureFolder:
+    """Read the pictures in a folder and its subfolders, and find their masks (`find_masks`).
 
     Pictures that cannot be read are left out, and copies of others in whatever format, size and quality.
 
@@ -84,7 +86,7 @@ def read_folder(folder: Path) -> PictureFolder:
         SceneError: the folder is missing, or has fewer than three usable pictures, or two whose focal length
             is known by EXIF.
     """
-    paths, left_out = readable_pictures(folder)
+    paths, masks, left_out = readable_pictures(folder)
     read = in_parallel(
         lambda path: _read(path, path.relative_to(folder).as_posix()), paths, stage="reading"
     )
@@ -92,6 +94,11 @@ def read_folder(folder: Path) -> PictureFolder:
     left_out += [file for file in read if isinstance(file, LeftOut)]
     photos, copies = _without_copies(photos)
     left_out += copies
+    if with_masks:
+        found = find_masks(folder, [photo.path for photo in photos])
+        photos = [replace(photo, mask=mask) for photo, mask in zip(photos, found, strict=True)]
+        unused = sorted({*masks}.difference(found))
+        left_out += [LeftOut(mask, "a mask without a photograph of this name") for mask in unused]
     lens_known = all(photo.focal is not None for photo in photos)
     if len(photos) < (2 if lens_known else MIN_PHOTOS):
         what = (

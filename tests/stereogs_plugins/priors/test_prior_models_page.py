@@ -18,6 +18,7 @@ NAMES = (
     "onnx_mvs",
     "onnx_mono",
     "onnx_moge",
+    "onnx_posed",
     "onnx_matching",
     "onnx_flow",
     "torch_module",

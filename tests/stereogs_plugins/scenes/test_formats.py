@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from registry import Scene, SceneLoader
 from stereogs_plugins.scenes.blender import BlenderScene
@@ -97,3 +100,62 @@ def test_larger_photographs_are_reduced_and_smaller_ones_kept(name: str, tmp_pat
         (world.focal / 2, world.principal_point[0] / 2), abs=1e-6
     )
     assert (kept.width, kept.height) == (world.width, world.height)
+
+
+@pytest.mark.parametrize("naming", ["{}.png", "{}"])
+@pytest.mark.parametrize("name", ["llff", "colmap", "nerfstudio"])
+def test_masks_beside_the_photographs_exclude_pixels(
+    name: str, naming: str, tmp_path: Path
+) -> None:
+    loader, write, world, settings = CASES[name]
+    folder = write(tmp_path, world)
+    kept = np.full((world.height, world.width), 255, np.uint8)
+    kept[10:20, 5:] = 0
+    for photo in folder.glob("images*/*"):
+        mask = folder / photo.parent.name.replace("images", "masks") / naming.format(photo.name)
+        mask.parent.mkdir(exist_ok=True)
+        Image.fromarray(kept).save(mask)
+    scene = build(loader, path=folder, **settings).load()
+    for view in (*scene.train, *scene.test):
+        for layer in (view.weights, view.mask):
+            assert layer is not None
+            np.testing.assert_array_equal(layer.numpy(), kept == 255)
+    assert build(loader, path=folder, masks=False, **settings).load().train[0].mask is None
+
+
+ORIENTATIONS = {3: 2, 6: 1, 8: 3}
+"""Counterclockwise quarter turns from the upright to the stored pixels, by EXIF orientation."""
+TURNED = [
+    *(
+        (name, "stored", k)
+        for name in ("llff", "colmap", "nerfstudio", "blender")
+        for k in (3, 6, 8)
+    ),
+    # Half a turn does not show in the size, and blender's files have none.
+    *((name, "upright", k) for name in ("llff", "colmap", "nerfstudio") for k in (6, 8)),
+]
+
+
+@pytest.mark.parametrize("square", [False, True])
+@pytest.mark.parametrize(("name", "calibrated", "orientation"), TURNED)
+def test_photographs_are_turned_if_their_cameras_only_fit_then(
+    name: str,
+    calibrated: str,
+    orientation: int,
+    square: bool,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    loader, write, world, settings = CASES[name]
+    folder = write(tmp_path, replace(world, height=world.width if square else world.height))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    turned = calibrated == "upright" and not square
+    for path in folder.rglob("*.png"):
+        with Image.open(path) as opened:
+            pixels = np.rot90(np.asarray(opened), ORIENTATIONS[orientation] if turned else 0)
+        Image.fromarray(pixels.copy()).save(path, exif=exif)
+    with caplog.at_level(logging.INFO, logger="stereogs.photos"):
+        assert_sees_the_points(build(loader, path=folder, **settings).load())
+    assert ("turned by their EXIF data" in caplog.text) == turned
+    assert ("those of the pixels as stored" in caplog.text) != turned

@@ -51,6 +51,11 @@ def image_index(name: str) -> int:
     return int(PurePath(name).stem)
 
 
+def mask_of(image: Path) -> Path:
+    """Path of the mask of a photograph, where COLMAP looks for it; it may be missing."""
+    return image.parent.with_name("masks") / f"{image.name}.png"
+
+
 # Databases of keypoints and matches
 
 
@@ -88,15 +93,22 @@ def add_photos(
 
 
 def extract_sift(database: Path, images: Path, pooled: bool) -> None:
-    """Add keypoints by SIFT (Lowe 2004) on the CPU.
+    """Add keypoints by SIFT (Lowe 2004) on the CPU, none where a photograph's mask (`mask_of`) is black.
 
     Args:
         pooled: use domain-size pooling (Dong and Soatto 2015), which tolerates wider baselines.
     """
     options = pycolmap.FeatureExtractionOptions()
     options.sift.domain_size_pooling = pooled
+    reader = pycolmap.ImageReaderOptions()
+    masks = mask_of(images / image_name(0)).parent
+    if masks.is_dir():
+        reader.mask_path = masks
     pycolmap.extract_features(
-        database, images, extraction_options=options, device=pycolmap.Device.cpu
+        *(database, images),
+        reader_options=reader,
+        extraction_options=options,
+        device=pycolmap.Device.cpu,
     )
 
 

@@ -17,7 +17,7 @@ from registry.toolkit.networks import KeypointNetworks, Keypoints, OnnxModel, mo
 from registry.toolkit.progress import tracked
 
 from . import thresholds
-from .colmap import image_index, image_name, open_database, verified_pairs, verify_matches
+from .colmap import image_index, image_name, mask_of, open_database, verified_pairs, verify_matches
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -94,7 +94,7 @@ def add_learned_matches(
 
 
 def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
-    """The best keypoints of a picture, which is scaled to `KEYPOINT_SIZE` first."""
+    """The best keypoints of a picture, which is scaled to `KEYPOINT_SIZE` first; none where it is masked."""
     import torch
     from PIL import Image
 
@@ -105,12 +105,16 @@ def _keypoints(networks: KeypointNetworks, file: Path) -> Keypoints:
     scaled = picture.resize((width, height), Image.Resampling.BICUBIC)
     image = torch.from_numpy(np.asarray(scaled, np.float32) / 255)
     found = networks.keypoints(image, turned=False)
-    back = torch.tensor([picture.width / width, picture.height / height])
-    return Keypoints(
-        found.points[: thresholds.MAX_KEYPOINTS] * back,
-        found.normalized[:, : thresholds.MAX_KEYPOINTS],
-        found.descriptors[:, : thresholds.MAX_KEYPOINTS],
-    )
+    points = found.points * torch.tensor([picture.width / width, picture.height / height])
+    kept = torch.arange(len(points))
+    if mask_of(file).is_file():
+        with Image.open(mask_of(file)) as opened:
+            counts = torch.from_numpy(np.asarray(opened) > 0)
+        columns, rows = points.long().T
+        last = torch.tensor(counts.shape) - 1
+        kept = kept[counts[rows.clamp(0, last[0]), columns.clamp(0, last[1])]]
+    kept = kept[: thresholds.MAX_KEYPOINTS]
+    return Keypoints(points[kept], found.normalized[:, kept], found.descriptors[:, kept])
 
 
 def _joined(first: NDArray[Scalar], second: NDArray[Any]) -> NDArray[Scalar]:

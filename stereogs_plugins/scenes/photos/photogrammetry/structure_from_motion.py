@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from PIL import Image
 
+from registry.toolkit.photos import read_mask, stored_form
 from registry.toolkit.progress import in_parallel
 
 from . import thresholds
@@ -24,6 +25,7 @@ from .colmap import (
     create_database,
     image_index,
     image_name,
+    mask_of,
     open_database,
     read_model,
     verified_pairs,
@@ -98,9 +100,7 @@ def reconstruct(
     images.mkdir()
     # pycolmap reads only files written here, because a truncated photograph would crash it.
     in_parallel(
-        lambda k: Image.fromarray(decoder.read(photos[k].path)).save(
-            images / image_name(k), compress_level=1
-        ),
+        lambda k: _write_pictures(photos[k], decoder, images / image_name(k)),
         range(len(photos)),
         stage="reading",
     )
@@ -142,6 +142,18 @@ def reconstruct(
             focal_is_known=refined.focal_is_known, altered=refined.altered
         )
     return replace(best, pieces=pieces, tried=tuple(tried), ignores_exif=used is not photos)
+
+
+def _write_pictures(photo: UnposedPhoto, decoder: Decoder, file: Path) -> None:
+    """Write the upright photograph, and its mask if it has one: 255 for the pixels that count."""
+    pixels = decoder.read(photo.path)
+    Image.fromarray(pixels).save(file, compress_level=1)
+    if photo.mask is not None:
+        height, width = pixels.shape[:2]
+        _, orientation = stored_form(photo.path)
+        mask, _ = read_mask(photo.mask, (width, height), orientation=orientation)
+        mask_of(file).parent.mkdir(exist_ok=True)
+        Image.fromarray(mask).point(lambda value: 255 * (value == 255)).save(mask_of(file))
 
 
 class _Search(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from stereogs.verbs.priors.prior_trials import score as prior_score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.host import SELECTION, Plugins, main, parse_pipeline
 from tests.stereogs_plugins.building import build
-from tests.stereogs_plugins.priors import graphs, known_answers as known
+from tests.stereogs_plugins.priors import graphs, known_answers as known, rooms
 
 Capture = pytest.CaptureFixture[str]
 
@@ -155,6 +156,40 @@ def test_a_constant_number_of_views_is_refused(
     assert fault in said
     assert ("max_sources: 1" in said) == (bool(fault) or "max_sources=1" in arguments)
     assert ("priors:" in said) is not bool(fault)
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.parametrize(
+    ("network", "count", "pinned", "fault"),
+    [
+        ("vggt", "N", 0, ""),
+        ("depth_anything_3", "N", 0, ""),
+        ("depth_anything_3", 4, 0, ""),
+        ("depth_anything_3", "N", 2, "a copy of the second view as third changes the depth by"),
+        ("depth_anything_3", "N", 3, "a copy of the second view as third changes the depth by"),
+    ],
+)
+def test_cameras_and_depth_are_measured_together(
+    tmp_path: Path, capsys: Capture, network: str, count: int | str, pinned: int, fault: str
+) -> None:
+    views = rooms.room(56, 42, row_spacing=0.25)
+    views = (*views, views[-1])
+    poses = torch.stack([view.camera.world_to_camera[:3] for view in views])
+    poses[:, :, 3] *= 5  # the unit of a network
+    views = tuple(replace(view, depth=5 * depth_of(view)) for view in views)
+    path = tmp_path / "m.onnx"
+    if network == "vggt":
+        codes = torch.stack([rooms.pose_code(view.camera) for view in views])
+        codes[:, :3] *= 5
+        rooms.vggt(path, views, codes)
+    else:
+        rooms.depth_anything_3(path, views, poses, count=count, pinned=pinned)
+    assert main(["priors", "check", str(path)]) == (1 if fault else 0)
+    said = capsys.readouterr().out
+    assert fault in said
+    assert ("use: onnx_posed" in said) is not bool(fault)
+    (wrong,) = re.findall(r"onnx_posed: error (\d\.\d+)", said)
+    assert (float(wrong) < 0.1) == (pinned in (0, 3))
 
 
 @pytest.mark.usefixtures("_small")

@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -26,6 +27,7 @@ from stereogs_plugins.scenes.photos import (
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras
 from stereogs_plugins.scenes.photos.loader import PhotosSettings, _turned_upright
 from stereogs_plugins.scenes.photos.photogrammetry import structure_from_motion
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_name, read_model
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
@@ -68,6 +70,53 @@ def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, entry
     assert float((small[0] - small[1]).abs().mean()) < 0.03
 
 
+def test_masks_exclude_pixels_from_matching_training_and_points(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
+    photos = Path(shutil.copytree(folder, tmp_path / "photographs"))
+    (photos / "masks").mkdir()
+    for index, path in enumerate(sorted(photos.glob("*.jpg"))):
+        with Image.open(path) as opened:
+            exif, pixels = opened.getexif(), np.array(opened)
+        kept = np.full(pixels.shape[:2], 255, np.uint8)
+        # The same in each photograph, as a stain on the lens: matched, it would say that nothing moved.
+        stain = np.random.default_rng(0).random((90, 90, 1)) * [255, 0, 255]
+        pixels[100:190, 100:190], kept[100:190, 100:190] = stain, 0
+        Image.fromarray(pixels).save(path, quality=97, exif=exif)
+        as_shown = np.rot90(kept, -1).copy() if index == SIDEWAYS else kept
+        Image.fromarray(as_shown).save(photos / "masks" / f"{path.name}.png")
+    scene = load(photos)
+    assert len(scene.train) == COUNT
+    for view in scene.train:
+        red, green, blue = view.for_training().image.unbind(2)
+        assert not ((red > green + 0.4) & (blue > green + 0.4)).any()
+        assert view.weights is not None
+        assert 0.88 < view.weights.mean() < 0.94
+    (entry,) = (tmp_path / "cache" / "cameras").iterdir()
+    model = read_model(entry / "piece_0")
+    for image in model.images.values():
+        x, y = np.array([point.xy for point in image.points2D if point.has_point3D()]).T
+        if image.name != image_name(SIDEWAYS):
+            assert not ((abs(x - 145) < 43) & (abs(y - 145) < 43)).any()
+
+
+def test_masks_without_photographs_are_named(tmp_path: Path) -> None:
+    write_pictures(tmp_path, 3)
+    (tmp_path / "masks").mkdir()
+    masks = [tmp_path / name for name in ("masks/0.png", "1_mask.png", "masks/other.png")]
+    for path in masks:
+        Image.new("L", (40, 30), 255).save(path)
+    found = read_folder(tmp_path)
+    assert [photo.mask for photo in found.photos] == [*masks[:2], None]
+    ((path, reason),) = found.left_out
+    assert (path.name, reason) == ("other.png", "a mask without a photograph of this name")
+    (tmp_path / "all").mkdir()
+    shutil.move(tmp_path / "masks", tmp_path / "all")
+    write_pictures(tmp_path / "all" / "masks", 3)
+    assert len(read_folder(tmp_path / "all").photos) > 2  # photographs of masks
+
+
 @pytest.mark.parametrize("ignored", [False, True])
 def test_focal_lengths_in_exif_that_do_not_fit_are_named(
     folder: Path,
@@ -82,7 +131,9 @@ def test_focal_lengths_in_exif_that_do_not_fit_are_named(
 
     original, files = PhotosScene._find_cameras, read_folder(folder)
     photos = [replace(photo, focal=3.0) for photo in files.photos]
-    monkeypatch.setattr(unposed_photos, "read_folder", lambda _: files._replace(photos=photos))
+    monkeypatch.setattr(
+        unposed_photos, "read_folder", lambda _, **__: files._replace(photos=photos)
+    )
     monkeypatch.setattr(PhotosScene, "_find_cameras", find)
     scene = load(folder)
     assert scene.fact("focal_lengths_by_exif") == (0 if ignored else COUNT)
@@ -107,8 +158,10 @@ def test_all_photographs_train_unless_some_are_held_out(
 def test_a_photograph_on_its_side_is_turned_without_exif(
     room: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
+    weights = torch.rand(room.train[1].image.shape[:2])
     sideways = replace(
         room.train[1],
+        weights=torch.rot90(weights, 1),
         image=torch.rot90(room.train[1].image, 1),
         camera=turned(room.train[1].camera, 1),
     )
@@ -117,6 +170,8 @@ def test_a_photograph_on_its_side_is_turned_without_exif(
     assert names == [sideways.name]
     assert f"turned as the others are: {sideways.name}" in caplog.text
     assert torch.equal(loaded.views[1].image, room.train[1].image)
+    assert loaded.views[1].weights is not None
+    assert torch.equal(loaded.views[1].weights, weights)
     assert torch.allclose(
         loaded.views[1].camera.world_to_camera, room.train[1].camera.world_to_camera
     )

@@ -59,7 +59,7 @@ def test_the_picture_that_check_draws_is_left_out(tmp_path: Path) -> None:
     write_pictures(tmp_path, 3)
     save_png(torch.rand(20, 30, 3), tmp_path / "check.png", {DRAWN: "stereogs check"})
     save_png(torch.rand(20, 30, 3), tmp_path / "other.png", {DRAWN: "a camera's program"})
-    pictures, left_out = readable_pictures(tmp_path)
+    pictures, _, left_out = readable_pictures(tmp_path)
     assert len(pictures) == 4
     assert [(file.path.name, file.reason) for file in left_out] == [
         ("check.png", "drawn by `stereogs check`")

@@ -11,7 +11,7 @@ from registry.toolkit.images import grey
 from registry.toolkit.photos import Lens, undistort
 
 from .. import thresholds
-from ..colmap import image_name, index_of, lens_of
+from ..colmap import image_name, index_of, lens_of, mask_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,11 +31,13 @@ class PinholePhoto(NamedTuple):
         grey: `[H, W]` in [0, 1].
         camera: its camera.
         depths: nearest and farthest depth.
+        counts: `[H, W]` bool, False where its mask is black; None without a mask.
     """
 
     grey: Tensor
     camera: Camera
     depths: tuple[float, float]
+    counts: Tensor | None
 
 
 class Confirmed(NamedTuple):
@@ -44,7 +46,7 @@ class Confirmed(NamedTuple):
     Args:
         pixels: the point leads back to the pixel through the other depth map, and the windows around both
             look alike.
-        known: pixels with contrast whose point is inside the other photograph.
+        known: pixels with contrast whose point is inside the other photograph, and that no mask excludes.
     """
 
     pixels: Tensor
@@ -62,7 +64,7 @@ class Pictures:
     def __init__(self, images: Path, longer_side: int) -> None:
         self.longer_side = longer_side
         self._images = images
-        self._reduced: dict[int, NDArray[np.uint8]] = {}
+        self._reduced: dict[Path, NDArray[np.uint8]] = {}
 
     def undistorted(self, model: Model, image: int, points: Array) -> PinholePhoto | None:
         """Return the photograph of an image id; None if no point `[N, 3]` is in front of it.
@@ -77,7 +79,8 @@ class Pictures:
         if not len(depth):
             return None
         near, far = np.percentile(depth, thresholds.DEPTH_PERCENTILES) * thresholds.DEPTH_MARGINS
-        pixels = self._pixels(index_of(model, image))
+        file = self._images / image_name(index_of(model, image))
+        pixels = self._pixels(file)
         lens = lens_of(model, image)
         focal, cx, cy, distortion = lens.params
         known = Lens(
@@ -89,18 +92,21 @@ class Pictures:
         straight, pixels = undistort(small, pixels, name)
         camera = straight.camera(np.vstack([pose, [0, 0, 0, 1]]), name)
         picture = grey(torch.from_numpy(pixels.astype(np.float32)) / 255)
-        return PinholePhoto(picture, camera, (float(near), float(far)))
+        counts = None
+        if mask_of(file).is_file():
+            counts = torch.from_numpy(undistort(small, self._pixels(mask_of(file)), name)[1] == 255)
+        return PinholePhoto(picture, camera, (float(near), float(far)), counts)
 
-    def _pixels(self, index: int) -> NDArray[np.uint8]:
+    def _pixels(self, file: Path) -> NDArray[np.uint8]:
         from PIL import Image
 
-        if index not in self._reduced:
-            with Image.open(self._images / image_name(index)) as opened:
-                picture = opened.convert("RGB")
+        if file not in self._reduced:
+            with Image.open(file) as opened:
+                picture = opened.copy()
             scale = self.longer_side / max(picture.size)
             size = (round(picture.width * scale), round(picture.height * scale))
-            self._reduced[index] = np.array(picture.resize(size, Image.Resampling.BOX))
-        return self._reduced[index]
+            self._reduced[file] = np.array(picture.resize(size, Image.Resampling.BOX))
+        return self._reduced[file]
 
 
 def depth_of(device: Device, here: PinholePhoto, there: PinholePhoto) -> Tensor:
@@ -129,6 +135,10 @@ def confirmed(here: PinholePhoto, there: PinholePhoto, depth: Tensor, other: Ten
     seen = sampled(there.grey.double(), *ends[:2], "bilinear")
     alike, contrast = _correlation(here.grey.double(), seen)
     known = inside & (contrast > thresholds.MIN_CONTRAST**2)
+    if here.counts is not None:
+        known &= here.counts
+    if there.counts is not None:
+        known &= sampled(there.counts.double(), *ends[:2], "nearest") > 0
     return Confirmed(known & returns & (back[2] > 0) & (alike > thresholds.MIN_CORRELATION), known)
 
 

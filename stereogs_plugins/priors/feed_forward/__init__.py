@@ -1,0 +1,1 @@
+"""Networks that return cameras and depth, or whole Gaussians, of photographs."""

@@ -1,0 +1,1 @@
+"""Tests of `stereogs_plugins.priors`, which import its modules."""
