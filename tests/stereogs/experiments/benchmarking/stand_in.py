@@ -3,7 +3,7 @@
     python stand_in.py MODE DATA OUT [CAMERAS RENDERS]
 
 MODE: gaussians, silent (writes nothing), failing (status 3), hanging, moved (the world is moved), damaged,
-renders, small (renders of another size).
+renders, small (renders of another size). It imports what a mode needs, to start quickly.
 """
 
 from __future__ import annotations
@@ -12,16 +12,6 @@ import json
 import sys
 import time
 from pathlib import Path
-
-import numpy as np
-import pycolmap
-import torch
-from PIL import Image
-
-from core_rasterizer import Gaussians, save_ply
-
-GREY = 60 / 255
-"""Of the background in the photographs of `World`."""
 
 
 def main(mode: str, data: str, out: str, *places: str) -> int:
@@ -34,47 +24,53 @@ def main(mode: str, data: str, out: str, *places: str) -> int:
         time.sleep(60)
     if places:
         return render(mode, *map(Path, places))
-    model = pycolmap.Reconstruction(str(Path(data, "sparse", "0")))
+    return train(mode, Path(data), Path(out))
+
+
+def train(mode: str, data: Path, out: Path) -> int:
+    import numpy as np
+    import pycolmap
+    import torch
+
+    from core_rasterizer import Gaussians, save_ply
+
+    model = pycolmap.Reconstruction(str(data / "sparse" / "0"))
     names = sorted(image.name for image in model.images.values())
-    Path(out, "seen.json").write_text(json.dumps(names))
-    if sorted(path.name for path in Path(data, "images").iterdir()) != names:
+    (out / "seen.json").write_text(json.dumps(names))
+    if sorted(path.name for path in (data / "images").iterdir()) != names:
         return 4
     points = [model.points3D[key] for key in sorted(model.points3D)]
     means = torch.tensor(np.array([point.xyz for point in points]), dtype=torch.float32)
     colors = torch.tensor(np.array([point.color for point in points]) / 255, dtype=torch.float32)
-    means, colors = torch.cat([means, backdrop()]), torch.cat([colors, torch.full((4000, 3), GREY)])
+    # The wall is a sphere around the cameras, in the grey of the photographs.
+    wall = torch.nn.functional.normalize(
+        torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
+    )
+    sizes = torch.cat([torch.full((len(means), 3), -3.0), torch.full((4000, 3), -1.2)])
+    means, colors = torch.cat([means, 7 * wall]), torch.cat([colors, 0 * wall + 60 / 255])
+    count = len(means)
     for step, opacity in ((1, -6.0), (2, 6.0)):
-        file = Path(out, f"splat_{step}.ply")
-        save_ply(gaussians(means + 1000 * (mode == "moved"), colors, opacity), file)
+        gaussians = Gaussians(
+            means=means + 1000 * (mode == "moved"),
+            log_scales=sizes,
+            quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+            opacity_logits=torch.full((count,), opacity),
+            sh=((colors - 0.5) / 0.28209479177387814)[:, None],
+        )
+        file = out / f"splat_{step}.ply"
+        save_ply(gaussians, file)
         if mode == "damaged":
             file.write_bytes(file.read_bytes()[:-9])
         time.sleep(0.2)
     return 0
 
 
-def backdrop() -> torch.Tensor:
-    """Points on a sphere around the cameras of `World`."""
-    points = torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
-    return torch.nn.functional.normalize(points) * 7
-
-
-def gaussians(means: torch.Tensor, colors: torch.Tensor, opacity: float) -> Gaussians:
-    count = len(means)
-    sizes = torch.where(means.norm(dim=1) > 6, -1.2, -3.0)
-    return Gaussians(
-        means=means,
-        log_scales=sizes[:, None].repeat(1, 3),
-        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        opacity_logits=torch.full((count,), opacity),
-        sh=((colors - 0.5) / 0.28209479177387814)[:, None],
-    )
-
-
 def render(mode: str, cameras: Path, renders: Path) -> int:
-    frames = json.loads((cameras / "transforms.json").read_text())["frames"]
-    for frame in frames:
-        photograph = Image.open(cameras / frame["file_path"])
-        assert np.asarray(photograph).max() == 0
+    from PIL import Image
+
+    for frame in json.loads((cameras / "transforms.json").read_text())["frames"]:
+        if Image.open(cameras / frame["file_path"]).getextrema() != ((0, 0),) * 3:
+            return 5  # a test photograph
         shrink = 2 if mode == "small" else 1
         size = (frame["w"] // shrink, frame["h"] // shrink)
         Image.new("RGB", size, (60, 60, 60)).save(renders / Path(frame["file_path"]).name)

@@ -26,7 +26,7 @@ initializer: {use: random, count: 50}
 training: {iterations: 4, sh_degree: 0}
 """
 PROGRAM = """\
-version: "{python} -c print(17)"
+version: echo 17
 train: "{python} {script} gaussians {{data}} {{out}}"
 gaussians: splat*.ply
 layout: colmap
