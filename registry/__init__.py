@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .contract.component import (
         Component as Component,
         Context as Context,
+        GaussianFeature as GaussianFeature,
         ParameterGroup as ParameterGroup,
         Settings as Settings,
     )

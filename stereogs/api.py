@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         Exporter as Exporter,
         Fact as Fact,
         Frame as Frame,
+        GaussianFeature as GaussianFeature,
         HostDefaults as HostDefaults,
         Initializer as Initializer,
         Metric as Metric,

@@ -17,7 +17,7 @@ from .host_defaults import HostDefaults
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import Device
+    from core_rasterizer import Device, GaussianReader
 
     from .rendered import Rendered
     from .scene import TrainingScene
@@ -92,6 +92,24 @@ class ParameterGroup:
     learning_rate: float
 
 
+@dataclass(frozen=True, eq=False)
+class GaussianFeature:
+    """Numbers of each Gaussian besides its parameters, for example of a label, that the host keeps.
+
+    They follow each edit: a new Gaussian has those of the one that it descends from. Checkpoints and exported
+    files hold them, and `Step.features` gives them in autograd.
+
+    Args:
+        name: a word of letters, digits and "_", unique in the pipeline; files have `NAME_0`, `NAME_1`, ...
+        values: `[N, C]` float32, the initial numbers, finite.
+        learning_rate: of Adam, >= 0; 0 keeps the numbers fixed.
+    """
+
+    name: str
+    values: Tensor
+    learning_rate: float = 0.0
+
+
 class Component(Generic[SettingsType]):
     """Base of all components: `class Mine(Regularizer[MySettings])` has settings of type `MySettings`.
 
@@ -157,6 +175,13 @@ class Component(Generic[SettingsType]):
 
     def parameters(self) -> Sequence[ParameterGroup]:
         """Return parameters that take part in the loss; the host optimizes and saves them."""
+        return ()
+
+    def features(self, model: GaussianReader) -> Sequence[GaussianFeature]:
+        """Return numbers per Gaussian that the host trains or keeps; called after `begin_training`.
+
+        For components of the training loop. When a run is resumed, the saved numbers replace these.
+        """
         return ()
 
     def state(self) -> dict[str, Tensor]:

@@ -124,6 +124,8 @@ class Step:
         learning_rates: Adam's step size of each parameter group in this iteration.
         kinds: `[N]` bool by the kind's name, the Gaussians that descend from initial points of a kind
             (`PointCloud.kinds`). The host updates them when the number of Gaussians changes.
+        features: `[N, C]` by name, in autograd, the components' numbers per Gaussian
+            (`Component.features`); `registry.toolkit.views.blended` renders them.
         makers: for the host, makes `normals` and `contributions`.
         access: for the host, the outputs that the component may use.
     """
@@ -140,6 +142,7 @@ class Step:
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
     learning_rates: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
+    features: Mapping[str, Tensor] = field(default_factory=dict)
     makers: Mapping[str, Callable[[Step], Tensor]] = field(default_factory=dict)
     access: Access = field(default_factory=Access)
     _rendered: _Rendered = field(default_factory=_Rendered)

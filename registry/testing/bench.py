@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import monotonic
 from typing import Any
@@ -123,6 +123,13 @@ class Bench:
             step = self.before_render()
         else:
             step = self.after_render(declared) if stage == LOSS else self.after_backward(declared)
+        step = replace(
+            step,
+            features={
+                feature.name: feature.values.clone().requires_grad_(feature.learning_rate > 0)
+                for feature in built.features(step.model)
+            },
+        )
         for name in sorted(declared & step.makers.keys()):
             step.output(name)
         step.access.declared = declared

@@ -108,8 +108,7 @@ class Field:
         for part in parts.training:
             with part.at_work(guard=self._inputs):
                 part.component.begin_training(scene)
-        self.parameters = ComponentParameters(parts)
-        self._trained = [model.anchor, *self.parameters.tensors]
+        self.parameters = ComponentParameters(parts, GaussianReader(model))
         self._extent, self._reader = scene.extent, GaussianReader(model)
         self._access = Access()
         self._step_reader = StepReader(model, self._access)
@@ -123,7 +122,9 @@ class Field:
         self._follow_kinds()
 
     def _follow_kinds(self) -> None:
-        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
+        self._trained = [self.model.anchor, *self.parameters.tensors]
+        features = {f"the feature {name}": v for name, v in self.parameters.features.items()}
+        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(features, (self.model,))
 
     def begin(self, iteration: int, view: TrainingView) -> None:
         """Apply schedules and samplers."""
@@ -150,6 +151,7 @@ class Field:
             maps=self._maps,
             learning_rates=MappingProxyType(learning_rates(iteration, settings, self._extent)),
             kinds=MappingProxyType(self.kinds),
+            features=MappingProxyType(self.parameters.features),
             makers=OUTPUTS,
             access=self._access,
         )
@@ -284,6 +286,7 @@ class Field:
             with blame(part.item, iteration):
                 carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
             self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+            self.parameters.carry(carried.source, carried.fresh)
             self._follow_kinds()
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
             self._step.carry_outputs(carried.source)
