@@ -34,7 +34,7 @@ from registry.training.initial_model import new_model
 from registry.training.placed import PlacedGaussians
 
 from ...protocol_scene import write_scene
-from .trial import about, score, scores_of
+from .scoring import about, score, scores_of
 
 _POLL_SECONDS = 0.05
 _LAST_LINES = 5
