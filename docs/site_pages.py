@@ -2,7 +2,7 @@
 
 Pages link to files and folders of the repository by relative paths. On the site the README is the first
 page, and each linked file or folder becomes a page with its text, so that links work in both places. The
-list of components is generated from the code.
+list of components and the pages on Python interfaces are generated from the code.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated page, the pages outside docs/, and a page for each linked file or folder."""
     reference = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))
     files.append(File.generated(config, COMPONENTS, content=reference["page"]()))
+    interfaces = runpy.run_path(str(ROOT / "docs" / "api_pages.py"))["pages"]()
+    for name, text in interfaces.items():
+        files.append(File.generated(config, name, content=text))
     for source, name in PAGES.items():
         text = (ROOT / source).read_text("utf-8")
         files.append(File.generated(config, name, content=text))

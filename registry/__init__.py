@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .contract.component import (
         Component as Component,
         Context as Context,
+        GaussianFeature as GaussianFeature,
         ParameterGroup as ParameterGroup,
         Settings as Settings,
     )
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     )
     from .contract.host_defaults import HostDefaults as HostDefaults, Percent as Percent
     from .contract.prior import Prior as Prior
+    from .contract.rendered import Rendered as Rendered
     from .contract.scene import (
         Fact as Fact,
         PointCloud as PointCloud,

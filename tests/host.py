@@ -31,9 +31,15 @@ if TYPE_CHECKING:
     )
     from registry.errors import PipelineError
     from registry.messages.visible_text import is_plain_name, without_credentials
-    from registry.pipeline.faults import faults, needs
+    from registry.pipeline.faults import faults, needs, refuse_unmet_needs
     from registry.pipeline.parts import TRAINING_SECTIONS, Part, Parts, load_scene
-    from registry.pipeline.pipeline import Item, default_schedule, load_pipeline, parse_pipeline
+    from registry.pipeline.pipeline import (
+        Item,
+        Pipeline,
+        default_schedule,
+        load_pipeline,
+        parse_pipeline,
+    )
     from registry.pipeline.protocols import AppliedProtocol, load_protocol, protocol_names
     from registry.pipeline.schedule import HostSettings
     from registry.pipeline.settings_check import escape_variables, plain, validate_settings

@@ -244,6 +244,7 @@ class TorchEngine:
 
     device: Device
     name: str = "torch"
+    absolute_gradients: bool = False
 
     def model(
         self, gaussians: Gaussians, *, dilation: float, compensate_dilation: bool

@@ -109,6 +109,10 @@ class Engine(Protocol):
     def name(self) -> str: ...
     @property
     def device(self) -> Device: ...
+    @property
+    def absolute_gradients(self) -> bool:
+        """Whether renders collect absolute screen gradients (`collect_absolute`)."""
+
     def model(
         self, gaussians: Gaussians, *, dilation: float, compensate_dilation: bool
     ) -> Model: ...

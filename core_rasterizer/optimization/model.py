@@ -192,6 +192,11 @@ class OpenCLEngine:
         """Name in provenance.json."""
         return "opencl"
 
+    @property
+    def absolute_gradients(self) -> bool:
+        """See `Engine`."""
+        return True
+
     def model(
         self,
         gaussians: Gaussians,

@@ -56,7 +56,7 @@ class ScreenStatistics:
             raise GaussianError(
                 "no render has collected absolute screen gradients",
                 field="means",
-                fix="render with collect_absolute=True; a policy sets `absolute_gradients`",
+                fix="render with collect_absolute=True; a component declares it in `needs_rendered`",
             )
         return sums[2] / sums[1].clamp(min=1)
 

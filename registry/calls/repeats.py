@@ -141,8 +141,10 @@ def _digests(name: str, value: Any) -> Iterator[tuple[str, str]]:
             if not field.name.startswith("_"):
                 yield from _digests(f"{name}.{field.name}", getattr(value, field.name))
         if isinstance(value, Step):
-            yield from _digests(f"{name}.others", value.others)
-            with suppress(PluginError):  # not rendered yet
+            yield from _digests(f"{name}.made", value.made)
+            with suppress(PluginError):  # not declared, or not rendered yet
+                yield from _digests(f"{name}.others", value.others)
+            with suppress(PluginError):
                 yield from _digests(f"{name}.rendering", value.rendering)
     elif isinstance(value, bytes):
         yield name, _digest(value)

@@ -17,8 +17,9 @@ from .host_defaults import HostDefaults
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core_rasterizer import Device
+    from core_rasterizer import Device, GaussianReader
 
+    from .rendered import Rendered
     from .scene import TrainingScene
 
 
@@ -91,6 +92,24 @@ class ParameterGroup:
     learning_rate: float
 
 
+@dataclass(frozen=True, eq=False)
+class GaussianFeature:
+    """Numbers of each Gaussian besides its parameters, for example of a label, that the host keeps.
+
+    They follow each edit: a new Gaussian has those of the one that it descends from. Checkpoints and exported
+    files hold them, and `Step.features` gives them in autograd.
+
+    Args:
+        name: a word of letters, digits and "_", unique in the pipeline; files have `NAME_0`, `NAME_1`, ...
+        values: `[N, C]` float32, the initial numbers, finite.
+        learning_rate: of Adam, >= 0; 0 keeps the numbers fixed.
+    """
+
+    name: str
+    values: Tensor
+    learning_rate: float = 0.0
+
+
 class Component(Generic[SettingsType]):
     """Base of all components: `class Mine(Regularizer[MySettings])` has settings of type `MySettings`.
 
@@ -109,8 +128,6 @@ class Component(Generic[SettingsType]):
     needs_priors: ClassVar[tuple[str | tuple[str, ...], ...]] = ()
     """Capabilities of the priors that it uses; a nested tuple means any of these, the first preferred.
     Training starts only if the pipeline has them. The setting `prior`, if it exists, names the prior."""
-    needs_fields: ClassVar[int] = 1
-    """Minimum number of fields of Gaussians (`training.fields`)."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)
@@ -139,11 +156,32 @@ class Component(Generic[SettingsType]):
         self.context = context
         self.generator = torch.Generator().manual_seed(context.seed)
 
+    @classmethod
+    def needs_rendered(cls, settings: SettingsType) -> tuple[Rendered, ...]:
+        """Return what the host renders or collects for a component with these settings; nothing by default.
+
+        - "normals": `step.normals`
+        - "contributions": `step.contributions`
+        - "other_fields": `step.others`; training has two fields or more (`training.fields`)
+        - "screen_gradient": `step.model.screen_gradient()`
+        - "absolute_screen_gradient": `step.model.absolute_screen_gradient()`
+
+        For components of the training loop. What a component does not declare, it cannot use.
+        """
+        return ()
+
     def begin_training(self, scene: TrainingScene) -> None:
         """Called once for each component of the training loop, before `restore` and `parameters`."""
 
     def parameters(self) -> Sequence[ParameterGroup]:
         """Return parameters that take part in the loss; the host optimizes and saves them."""
+        return ()
+
+    def features(self, model: GaussianReader) -> Sequence[GaussianFeature]:
+        """Return numbers per Gaussian that the host trains or keeps; called after `begin_training`.
+
+        For components of the training loop. When a run is resumed, the saved numbers replace these.
+        """
         return ()
 
     def state(self) -> dict[str, Tensor]:

@@ -145,11 +145,6 @@ class Modifier(Component[SettingsType], ABC):
 class Densification(Component[SettingsType], ABC):
     """Decides where Gaussians are added, split, moved and removed."""
 
-    @property
-    def absolute_gradients(self) -> bool:
-        """Whether it reads `model.absolute_screen_gradient()`, which is collected only if this is True."""
-        return False
-
     @abstractmethod
     def refine(self, step: Step) -> Edit | None:
         """Return the edit that is due, or None. Called after the backward pass, when scheduled.

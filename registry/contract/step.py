@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import PluginError
+from .rendered import Access
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -93,10 +94,15 @@ class OtherField:
 
 @dataclass(eq=False)
 class _Rendered:
-    """The part of a `Step` that exists only after the render."""
+    """The part of a `Step` that exists only after the render.
+
+    Attributes:
+        made: outputs of this iteration, by name.
+    """
 
     rendering: Callable[[], Rendering] | None = None
     others: tuple[OtherField, ...] = ()
+    made: dict[str, Tensor] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +124,10 @@ class Step:
         learning_rates: Adam's step size of each parameter group in this iteration.
         kinds: `[N]` bool by the kind's name, the Gaussians that descend from initial points of a kind
             (`PointCloud.kinds`). The host updates them when the number of Gaussians changes.
+        features: `[N, C]` by name, in autograd, the components' numbers per Gaussian
+            (`Component.features`); `registry.toolkit.views.blended` renders them.
+        makers: for the host, makes `normals` and `contributions`.
+        access: for the host, the outputs that the component may use.
     """
 
     iteration: int
@@ -132,6 +142,9 @@ class Step:
     maps: Mapping[str, DepthMap] = field(default_factory=dict)
     learning_rates: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
+    features: Mapping[str, Tensor] = field(default_factory=dict)
+    makers: Mapping[str, Callable[[Step], Tensor]] = field(default_factory=dict)
+    access: Access = field(default_factory=Access)
     _rendered: _Rendered = field(default_factory=_Rendered)
 
     @property
@@ -155,14 +168,53 @@ class Step:
 
     @property
     def others(self) -> tuple[OtherField, ...]:
-        """The other fields, after the render; empty with a single field."""
+        """The other fields, after the render; for components that declare "other_fields"."""
+        self.access.refuse_undeclared("other_fields")
         return self._rendered.others
+
+    @property
+    def normals(self) -> Tensor:
+        """`[H, W, 3]`, the blended normals of the Gaussians (`axis_normals`), in autograd.
+
+        For components that declare "normals". From the sample's camera, without modifiers.
+        """
+        return self.output("normals")
+
+    @property
+    def contributions(self) -> Tensor:
+        """`[N]`, the sum over the pixels of each Gaussian's share of their light, alpha_i * T_i.
+
+        For components that declare "contributions". From the sample's camera before this iteration's edits,
+        without modifiers; after an edit, of the Gaussian that each descends from.
+        """
+        return self.output("contributions")
+
+    def output(self, name: str) -> Tensor:
+        """For the host: return an output of this iteration, made on first use."""
+        rendered = self._rendered
+        self.access.refuse_undeclared(name)
+        if name not in rendered.made:
+            rendered.made[name] = self.makers[name](self)
+        return rendered.made[name]
 
     def rendered(
         self, rendering: Callable[[], Rendering] | None, others: tuple[OtherField, ...] = ()
     ) -> None:
-        """For the host: set the render and the other fields; None removes them."""
+        """For the host: set the render and the other fields; None removes them, and `made` outputs."""
         self._rendered.rendering, self._rendered.others = rendering, others
+        if rendering is None:
+            self._rendered.made.clear()
+
+    def carry_outputs(self, source: Tensor) -> None:
+        """For the host: give each new Gaussian the contribution of the one that it descends from."""
+        made = self._rendered.made
+        if "contributions" in made:
+            made["contributions"] = made["contributions"][source]
+
+    @property
+    def made(self) -> Mapping[str, Tensor]:
+        """For the host: outputs of this iteration that exist, by name."""
+        return self._rendered.made
 
     def parameter(self, name: str) -> Tensor:
         """Return one parameter of all Gaussians, in autograd.

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+from ..calls.blame import blame
 from ..contract.component import Component
+from ..contract.hook_points import LOSS, OPTIMIZER, RENDER
 from ..contract.prior import chosen_prior
+from ..contract.rendered import COLLECTED, RENDERED, Rendered
 from ..errors import PluginError
+from ..messages.suggestions import did_you_mean
 from .pipeline import Item, Pipeline, default_schedule
 from .settings_check import leaves, paths_of
 
@@ -26,7 +30,8 @@ def faults(pipeline: Pipeline) -> list[str]:
         found += [(item, f"{shown} does not exist{hint}") for shown in missing]
         if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
             found.append((item, f"{fault} ({item.place})"))
-    found += [(item, error.what) for item, error in _prior_faults(pipeline)]
+    unmet = (*_prior_faults(pipeline), *rendered_faults(pipeline))
+    found += [(item, error.what) for item, error in unmet]
     return [f"{item.qualified_name}: {fault}" for item, fault in found]
 
 
@@ -44,10 +49,91 @@ def _schedule_fault(item: Item, iterations: int) -> str | None:
     )
 
 
-def refuse_missing_priors(pipeline: Pipeline) -> None:
-    """Raise a PluginError if a needed prior is missing, ambiguous, or has another capability."""
-    for _, fault in _prior_faults(pipeline):
+def refuse_unmet_needs(pipeline: Pipeline, *, absolute_gradients: bool = True) -> None:
+    """Raise a PluginError if a component lacks a prior, or an output that it declares cannot be made.
+
+    Args:
+        absolute_gradients: whether the engine collects them (`Engine.absolute_gradients`).
+    """
+    for _, fault in (*_prior_faults(pipeline), *rendered_faults(pipeline)):
         raise fault
+    for item, names in rendered_for(pipeline):
+        if "absolute_screen_gradient" in names and not absolute_gradients:
+            raise PluginError(
+                "it needs 'absolute_screen_gradient', which the engine of this run does not collect",
+                where=str(item),
+                fix="train with the OpenCL engine, or change its settings (see `stereogs explain`)",
+            )
+
+
+def rendered_for(pipeline: Pipeline) -> list[tuple[Item, tuple[Rendered, ...]]]:
+    """Return the components that are due in some iteration, with the outputs that each declares, if any."""
+    training = [i for i in pipeline if i.point.stage is not None and i.point.scheduled]
+    due = [i for i in training if i.schedule.due_in(pipeline.training.iterations) and i.host.weight]
+    return [(item, names) for item in due if (names := needs_rendered(item))]
+
+
+def needs_rendered(item: Item) -> tuple[Rendered, ...]:
+    """Return the outputs that a component declares with its settings (`Component.needs_rendered`)."""
+    with blame(item):
+        return tuple(item.offer.component.needs_rendered(item.settings))
+
+
+def rendered_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
+    """Yield each component that declares an output which it cannot get."""
+    asking = rendered_for(pipeline)
+    for item, names in asking:
+        for name in names:
+            if fault := _unavailable(item, name, pipeline.training.fields):
+                yield item, PluginError(fault[0], where=str(item), fix=fault[1])
+    yield from _spent_statistics(pipeline, asking)
+
+
+def _unavailable(item: Item, name: str, fields: int) -> tuple[str, str] | None:
+    """Return why a component cannot get an output, and what to do; None if it can."""
+    stage = item.point.stage
+    if name not in RENDERED:
+        meant = did_you_mean(name, RENDERED)
+        return f"it declares {name!r}, which does not exist{meant}", f"use {', '.join(RENDERED)}"
+    if stage is None or not (RENDER if name in COLLECTED else LOSS) <= stage <= OPTIMIZER:
+        when = "before the render" if stage == RENDER else "outside the iterations"
+        return (
+            f"it needs {name!r}, but a {item.point.title} is called {when}",
+            "make it a regularizer or a policy",
+        )
+    if name == "other_fields" and fields < 2:
+        return (
+            "it needs 'other_fields', but training has a single field",
+            f"set `training.fields` to 2, or switch it off with `--disable {item.name}`",
+        )
+    if name == "other_fields" and item.host.step == "alone":
+        return (
+            "it needs 'other_fields', which do not exist yet in a step of its own",
+            "remove `step: alone`",
+        )
+    return None
+
+
+def _spent_statistics(
+    pipeline: Pipeline, asking: Sequence[tuple[Item, tuple[Rendered, ...]]]
+) -> Iterator[tuple[Item, PluginError]]:
+    """Yield each policy that reads statistics in an iteration in which an earlier one's edit resets them."""
+    reading = [item for item, names in asking if COLLECTED & {*names}]
+    policies = pipeline.items["densification"]
+    for number, item in enumerate(policies):
+        for earlier in policies[:number] if item in reading else ():
+            dues = ({*of.schedule.due_in(pipeline.training.iterations)} for of in (earlier, item))
+            both = set.intersection(*dues)
+            if both:
+                yield (
+                    item,
+                    PluginError(
+                        f"it needs screen gradients in iteration {min(both)}, but the edit of "
+                        f"{earlier.name!r} at {earlier.place} resets them before",
+                        where=str(item),
+                        fix="list it first, or give one of them another `phase`",
+                    ),
+                )
 
 
 def needs(component: type[Component[Any]]) -> list[tuple[str, ...]]:
@@ -68,7 +154,7 @@ def _prior_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
                 try:
                     chosen_prior(known, wanted, name)
                 except PluginError as fault:
-                    fault.where = f"{item.offer} at {item.place}"
+                    fault.where = str(item)
                     yield item, fault
 
 

@@ -21,10 +21,12 @@ from ..contract.checks.answers import check_carried, check_state
 from ..contract.component import Component, Context, no_priors
 from ..contract.hook_points import PIPELINE_POINTS
 from ..contract.prior import Prior
+from ..contract.rendered import Rendered
 from ..contract.scene import Scene
 from ..discovery import SCENE
 from ..errors import RunError
 from ..toolkit.progress.stages import progress
+from .faults import needs_rendered
 from .pipeline import Item, Pipeline
 
 TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
@@ -37,6 +39,11 @@ class Part:
 
     item: Item
     component: Any
+
+    @cached_property
+    def declared(self) -> frozenset[Rendered]:
+        """Outputs that it may use (`Component.needs_rendered`)."""
+        return frozenset(needs_rendered(self.item))
 
     def call(
         self,

@@ -149,7 +149,7 @@ def _write_with_outputs(run: TrainedScene, folder: RunFolder, results: Results) 
     results.exports, failures = _outputs(
         folder,
         exporters,
-        lambda: (run.model, copied(run.scene), place),
+        lambda: (run.exported, copied(run.scene), place),
     )
     results.failures += failures
     folder.write_results(results)  # for the reports

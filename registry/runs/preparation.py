@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import monotonic
 
-from core_rasterizer import Gaussians
+from core_rasterizer import Device, Engine, Gaussians
 
 from ..calls.blame import blame
 from ..calls.policy import checked_plugins, initialization
@@ -16,7 +16,7 @@ from ..calls.read_only_guard import of_scene
 from ..calls.watchdog import WATCHDOG
 from ..contract.checks.scene import validate
 from ..contract.scene import PointCloud, Scene
-from ..pipeline.faults import faults, refuse_missing_priors
+from ..pipeline.faults import faults, refuse_unmet_needs
 from ..pipeline.parts import Parts, load_scene
 from ..pipeline.pipeline import Pipeline
 from ..toolkit.progress.display import showing
@@ -93,9 +93,9 @@ class Prepared:
         """Return the state that a pipeline with the same scene, priors and initializer starts from.
 
         Raises:
-            PluginError: a component needs a prior that the pipeline does not have.
+            PluginError: a component needs a prior or an output that the pipeline does not have.
         """
-        refuse_missing_priors(pipeline)
+        refuse_unmet_needs(pipeline, absolute_gradients=_absolute(self.parts.device))
         parts = self.parts.following(pipeline)
         gaussians = initial_gaussians(self.points, pipeline.training)
         return replace(self, parts=parts, gaussians=gaussians)
@@ -103,11 +103,17 @@ class Prepared:
 
 def load(pipeline: Pipeline, options: RunOptions) -> Loaded:
     """Construct the components and load the scene, unless the options give one."""
-    refuse_missing_priors(pipeline)
-    parts, begin = Parts(pipeline, find_device(options.device)), monotonic()
+    device = find_device(options.device)
+    refuse_unmet_needs(pipeline, absolute_gradients=_absolute(device))
+    parts, begin = Parts(pipeline, device), monotonic()
     list(parts)  # constructs every component: find mistakes before the scene is loaded
     scene = load_scene(parts.one("scene")) if options.scene is None else validate(options.scene)
     return Loaded(parts, scene, monotonic() - begin)
+
+
+def _absolute(device: Device | Engine) -> bool:
+    """Whether the engine collects absolute screen gradients; a device stands for its OpenCL engine."""
+    return isinstance(device, Device) or device.absolute_gradients
 
 
 def prepare(loaded: Loaded, options: RunOptions) -> Prepared:

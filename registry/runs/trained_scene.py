@@ -18,6 +18,7 @@ from core_rasterizer import Camera, GaussianReader, Model, Rendering, save_ply
 from ..calls.copies import copied
 from ..calls.process_state import one_torch_thread
 from ..confidence import Confidence, Trained
+from ..contract.component import Component
 from ..contract.components import ViewMetric
 from ..contract.frame import Frame
 from ..contract.scene import Scene
@@ -27,6 +28,7 @@ from ..pipeline.pipeline import Pipeline
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
+from ..training.gradients import FEATURES
 from ..training.placed import PlacedConfidence, PlacedGaussians
 from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, evaluate, quick
@@ -116,6 +118,24 @@ class TrainedScene:
         """
         return self.checkpoint().part("kinds")
 
+    @property
+    def features(self) -> dict[str, Tensor]:
+        """Numbers per Gaussian that components train or keep, `[N]` by `NAME_CHANNEL`."""
+        if all(item.offer.component.features is Component.features for item in self.pipeline):
+            return {}
+        saved = self.checkpoint().part(f"parameters/{FEATURES}")
+        return {
+            f"{name.removesuffix('/value')}_{channel}": column
+            for name, values in sorted(saved.items())
+            if name.endswith("/value")
+            for channel, column in enumerate(values.unbind(dim=1))
+        }
+
+    @property
+    def exported(self) -> PlacedGaussians:
+        """The Gaussians in the file's coordinates, with their features, for exporters."""
+        return PlacedGaussians(self.engine_model, self.frame, self.features)
+
     @one_torch_thread()
     def confidence(self, name: str, changes: Sequence[str] = ()) -> Confidence:
         """Return the confidence in renders of cameras in the file's coordinates.
@@ -179,5 +199,5 @@ class TrainedScene:
     def export(self, path: str | os.PathLike[str]) -> Path:
         """Write the Gaussians as a PLY file for viewers of 3D Gaussian Splatting."""
         file = Path(path).expanduser()
-        save_ply(self.model.gaussians(), file)
+        save_ply(self.model.gaussians(), file, self.features)
         return file

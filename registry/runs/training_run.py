@@ -13,7 +13,7 @@ import torch
 
 from ..discovery import Plugins
 from ..errors import RunError
-from ..pipeline.faults import refuse_missing_priors
+from ..pipeline.faults import refuse_unmet_needs
 from ..pipeline.pipeline import Pipeline
 from ..pipeline.training_settings import TrainingSettings
 from ..system.interrupt import stop_on_interrupt
@@ -111,7 +111,8 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             scene=options.scene or options.scene_folder,
             accept_changed_inputs=options.accept_changed_inputs,
         )
-        refuse_missing_priors(run.pipeline)
+        absolute = run.engine_model.engine.absolute_gradients
+        refuse_unmet_needs(run.pipeline, absolute_gradients=absolute)
         used = [item for item in run.pipeline if item.point.section not in _NOT_RESUMED]
         accept = options.accept_changed_plugins
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)

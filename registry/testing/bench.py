@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import monotonic
 from typing import Any
@@ -115,22 +115,37 @@ class Bench:
 
     def step(self, built: Component[Any]) -> Step:
         """Return an iteration at the stage in which a component is called."""
-        stage = hook_point(type(built)).stage
+        stage, declared = (
+            hook_point(type(built)).stage,
+            frozenset(built.needs_rendered(built.settings)),
+        )
         if stage == RENDER:
-            return self.before_render()
-        return self.after_render() if stage == LOSS else self.after_backward(built)
+            step = self.before_render()
+        else:
+            step = self.after_render(declared) if stage == LOSS else self.after_backward(declared)
+        step = replace(
+            step,
+            features={
+                feature.name: feature.values.clone().requires_grad_(feature.learning_rate > 0)
+                for feature in built.features(step.model)
+            },
+        )
+        for name in sorted(declared & step.makers.keys()):
+            step.output(name)
+        step.access.declared = declared
+        return step
 
     def before_render(self) -> Step:
         """Return an iteration before its render."""
         return self._step(self.model())
 
-    def after_render(self, built: object = None) -> Step:
+    def after_render(self, declared: Collection[str] = ()) -> Step:
         """Return an iteration after its render, with one other field.
 
         Args:
-            built: the component that reads the gradients; says whether it needs absolute ones.
+            declared: outputs that the component declares.
         """
-        absolute = bool(getattr(built, "absolute_gradients", False))
+        absolute = "absolute_screen_gradient" in declared
         model, other = self.model(), self.model()
         step = self._step(model)
         camera = step.sample.camera
@@ -141,9 +156,9 @@ class Bench:
         )
         return step
 
-    def after_backward(self, built: object = None) -> Step:
+    def after_backward(self, declared: Collection[str] = ()) -> Step:
         """Return an iteration after its backward pass; see `after_render`."""
-        step = self.after_render(built)
+        step = self.after_render(declared)
         photometric_loss(step.rendering.rgb, step.sample.target, device=self.device).backward()
         return step
 

@@ -152,6 +152,7 @@ def _regularizer(bench: Bench, built: Any) -> Any:
 def _gradients(step: Step, built: Any) -> list[Tensor]:
     """Return the gradients of the Gaussians and of the component's own parameters; all finite."""
     own = [tensor.grad for group in built.parameters() for tensor in group.tensors]
+    own += [feature.grad for feature in step.features.values()]
     gradients = [step.model.gradient(name) for name in PARAMETERS]
     gradients += [gradient for gradient in own if gradient is not None]
     for gradient in gradients:

@@ -17,15 +17,26 @@ from ..contract.component import Component, Context, Settings
 from ..contract.prior import Prior
 from ..contract.scene import Scene
 from ..discovery import GROUP, Plugins, check_offer
+from ..pipeline.faults import rendered_faults
 from ..pipeline.parts import TRAINING_SECTIONS
 from ..pipeline.settings_check import escape_variables, validate_settings
+from ..pipeline.training_settings import TrainingSettings
 from ..pipeline.yaml_source import parse, to_yaml
 from ..training.gradients import check_groups
 from .assertions import require
 from .bench import Bench, Refused
 from .component_calls import call_as_host
 from .processes import in_other_processes
-from .scenes import EMPTY, PIXEL, REAL, SMALL, UNDER_TEST, hook_point
+from .scenes import (
+    EMPTY,
+    PIXEL,
+    REAL,
+    SMALL,
+    UNDER_TEST,
+    hook_point,
+    pipeline_item,
+    pipeline_of,
+)
 from .training_runs import observe_and_resume, train_and_resume
 
 
@@ -85,6 +96,9 @@ def check(
     _check_entry_points(component)
     chosen = component.Settings(**settings)
     _check_settings(chosen)
+    alone = pipeline_of([pipeline_item(component, chosen, UNDER_TEST)], TrainingSettings(fields=2))
+    for _, fault in rendered_faults(alone):
+        raise fault
     bench = Bench(device or open_device(), priors or {}, ask=call)
     answers = [_answer(component, chosen, bench) for _ in range(2)]
     require(

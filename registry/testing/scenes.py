@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Edit, GaussianReader, Gaussians, Model, Relocation, Rendering
+from core_rasterizer import Camera, Edit, Gaussians, Model, Relocation, Rendering
 
 from ..contract.checks.scene import validate
 from ..contract.component import Component, Settings
@@ -22,6 +22,7 @@ from ..contract.components import (
 )
 from ..contract.hook_points import HOOK_POINTS, PIPELINE_POINTS, HookPoint
 from ..contract.prior import Prior
+from ..contract.rendered import Access
 from ..contract.scene import DepthMap, PointCloud, Scene, TrainingScene, View
 from ..contract.step import Sample, Step
 from ..discovery import Offer
@@ -29,7 +30,7 @@ from ..pipeline.pipeline import Item, Pipeline
 from ..pipeline.schedule import HostSettings
 from ..pipeline.training_settings import TrainingSettings
 from ..pipeline.yaml_source import Place
-from ..training.step import learning_rates, step_renderer
+from ..training.step import OUTPUTS, StepReader, learning_rates, step_renderer
 from .assertions import require
 
 
@@ -125,6 +126,7 @@ def step_of(
         shrink: >= 1; the view has this many times the columns and rows of the sample's camera and target.
     """
     known, settings = scene.for_training(), TrainingSettings(iterations=iterations)
+    access = Access()
     extent = known.extent if extent is None else extent
     view = known.train[0]
     degree, weights = model.sh_degree, view.weights
@@ -139,7 +141,7 @@ def step_of(
         iterations=iterations,
         scene=known,
         sample=sample,
-        model=GaussianReader(model),
+        model=StepReader(model, access),
         extent=extent,
         priors=priors or {},
         render=step_renderer(model, sample),
@@ -147,6 +149,8 @@ def step_of(
         maps=maps or {},
         kinds=kinds or {},
         learning_rates=learning_rates(iteration, settings, extent),
+        makers=OUTPUTS,
+        access=access,
     )
     if rendering is not None:
         step.rendered(lambda: rendering)

@@ -108,7 +108,8 @@ def _trainer(
         pipeline_item(RandomEdits, RandomEdits.Settings(), "random_edits"),
         *(pipeline_item(type(p), p.settings, name) for name, p in bench.priors.items()),
     ]
-    training = _TRAINING.model_copy(update={"fields": component.needs_fields})
+    fields = 2 if "other_fields" in component.needs_rendered(settings) else 1
+    training = _TRAINING.model_copy(update={"fields": fields})
     parts = Parts(pipeline_of(items, training), bench.device)
     if saved is not None:
         return restore(parts, bench.scene, saved)

@@ -33,6 +33,7 @@ from ..calls.read_only_guard import (
 )
 from ..contract.checks.answers import check_moves
 from ..contract.components import OpacityUpdate
+from ..contract.rendered import COLLECTED, Access
 from ..contract.scene import DepthMap, TrainingScene, TrainingView
 from ..contract.step import OtherField, Sample, Step
 from ..errors import PluginError, RunError
@@ -50,7 +51,7 @@ from .gradients import (
     zero_gradients,
 )
 from .growth_limit import limited, without_growth
-from .step import learning_rates, step_renderer
+from .step import OUTPUTS, StepReader, learning_rates, step_renderer
 
 OPACITY_MARGIN = 1e-6
 """Smallest distance of opacities from 0 and 1, so that logits stay finite."""
@@ -107,9 +108,13 @@ class Field:
         for part in parts.training:
             with part.at_work(guard=self._inputs):
                 part.component.begin_training(scene)
-        self.parameters = ComponentParameters(parts)
-        self._trained = [model.anchor, *self.parameters.tensors]
+        self.parameters = ComponentParameters(parts, GaussianReader(model))
         self._extent, self._reader = scene.extent, GaussianReader(model)
+        self._access = Access()
+        self._step_reader = StepReader(model, self._access)
+        asking = [part for part in parts.training if part.item.host.weight > 0 and part.declared]
+        self._collecting = [part for part in asking if part.declared & COLLECTED]
+        self._served = [part for part in asking if part.declared & OUTPUTS.keys()]
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
         self._no_gradient: str | None = None
@@ -117,7 +122,9 @@ class Field:
         self._follow_kinds()
 
     def _follow_kinds(self) -> None:
-        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(models=(self.model,))
+        self._trained = [self.model.anchor, *self.parameters.tensors]
+        features = {f"the feature {name}": v for name, v in self.parameters.features.items()}
+        self._guard = self._inputs + of_kinds(self.kinds) + ReadOnlyGuard(features, (self.model,))
 
     def begin(self, iteration: int, view: TrainingView) -> None:
         """Apply schedules and samplers."""
@@ -136,7 +143,7 @@ class Field:
             iterations=settings.iterations,
             scene=scene,
             sample=sample,
-            model=self._reader,
+            model=self._step_reader,
             extent=self._extent,
             priors=self.parts.priors,
             render=step_renderer(self.model, sample),
@@ -144,6 +151,9 @@ class Field:
             maps=self._maps,
             learning_rates=MappingProxyType(learning_rates(iteration, settings, self._extent)),
             kinds=MappingProxyType(self.kinds),
+            features=MappingProxyType(self.parameters.features),
+            makers=OUTPUTS,
+            access=self._access,
         )
         for part in self.parts.due("samplers", iteration):
             sample = self.call(part, self._step.sample)
@@ -158,6 +168,7 @@ class Field:
         for part in self._regularizers("alone"):
             zero_gradients(self.model, self.parameters)
             step.rendered(cache(lambda: step.render(step.sample.camera)))
+            self._serve([part])
             with part.at_work(step.iteration, self.guard):
                 moves = check_moves(part.component.moves, PARAMETER_GROUPS)
             term = self._term(part)
@@ -177,10 +188,8 @@ class Field:
         for part in self.parts.due("modifiers", step.iteration):
             factor: Tensor = self.call(part)
             scale = factor if scale is None else scale * factor
-        growing = [  # now or in a later iteration
-            part.component
-            for part in self.parts["densification"]
-            if not part.item.schedule.over(step.iteration)
+        collecting = [  # for a call in this or a later iteration
+            part for part in self._collecting if not part.item.schedule.over(step.iteration)
         ]
         self._rendering = self.model.render(
             sample.camera,
@@ -188,12 +197,28 @@ class Field:
             sh_degree=sample.sh_degree,
             opacity_scale=scale,
             smoothing=sample.smoothing,
-            collect_statistics=bool(growing),
-            collect_absolute=any(policy.absolute_gradients for policy in growing),
+            collect_statistics=bool(collecting) or self._ranks(step.iteration),
+            collect_absolute=any("absolute_screen_gradient" in p.declared for p in collecting),
         )
         self._changed_images = self._rendering.watch()
         self.guard += of_rendering(self._rendering) + of_sample(sample)
         step.rendered(lambda: self._rendering)
+        due = [part for part in self._served if part.item.host.due(step.iteration)]
+        self._serve([part for part in due if part.item.host.step == "together"])
+
+    def _ranks(self, iteration: int) -> bool:
+        """Whether the host needs screen gradients itself, to choose which Gaussians `max_gaussians` drops."""
+        return self._settings.max_gaussians is not None and not all(
+            part.item.schedule.over(iteration) for part in self.parts["densification"]
+        )
+
+    def _serve(self, parts: Sequence[Part]) -> None:
+        """Make the outputs that components declare, once for all, and guard them."""
+        names = OUTPUTS.keys() & {name for part in parts for name in part.declared}
+        if names:
+            self._access.declared = names
+            made = {f"the {name}": self._step.output(name) for name in sorted(names)}
+            self.guard += ReadOnlyGuard(made)
 
     def differentiate(self, fields: Sequence[Field]) -> float:
         """Run the backward pass, and return the total loss; losses may read the other fields."""
@@ -261,8 +286,10 @@ class Field:
             with blame(part.item, iteration):
                 carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
             self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+            self.parameters.carry(carried.source, carried.fresh)
             self._follow_kinds()
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
+            self._step.carry_outputs(carried.source)
             self.parts.carry(carried.source, carried.fresh, count, iteration)
             self._edited = True
 
@@ -322,6 +349,7 @@ class Field:
             trained: leaves; a gradient of the answer must reach one of them.
         """
         step, guard = self._step, self.guard + guard
+        self._access.declared = part.declared
         return part.call(step, *given, iteration=step.iteration, guard=guard, trained=trained)
 
     def _term(self, part: Part) -> Term:

@@ -8,6 +8,7 @@ differentiated one by one, to find the component that caused it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -16,14 +17,14 @@ from functools import reduce
 import torch
 from torch import Tensor
 
-from core_rasterizer import ExplainedError, Model, Rendering
+from core_rasterizer import ExplainedError, GaussianReader, Model, Rendering
 from core_rasterizer.gaussians import undefined_places
 
 from ..calls.blame import blame
 from ..calls.policy import plugins_are_checked
 from ..calls.read_only_guard import ReadOnlyGuard
 from ..calls.watchdog import Hang
-from ..contract.component import ParameterGroup
+from ..contract.component import GaussianFeature, ParameterGroup
 from ..contract.step import Step
 from ..errors import PluginError, RunError
 from ..pipeline.parts import Part, Parts
@@ -34,6 +35,11 @@ FEW = 0.01
 """Share of the visible Gaussians; nearly all have a gradient in a usual training."""
 FAINTEST = 1 / 255
 """Opacity below which a Gaussian is not rendered."""
+FEATURES = "features"
+"""Prefix of the features in `ComponentParameters.state`."""
+_IN_FILES = ("f_dc", "f_rest", "scale", "rot")
+"""Properties of PLY files that end in numbers, as those of features do."""
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -199,18 +205,24 @@ def _differentiate_each(
 
 
 class ComponentParameters:
-    """The parameters of all components of a pipeline, with one Adam per component.
+    """The parameters and the features of all components of a pipeline, with one Adam for each set.
 
     Args:
-        parts: `parameters` of each component is called once.
+        parts: `parameters` and `features` of each component are called once.
+        model: the Gaussians that features belong to.
+
+    Attributes:
+        features: numbers per Gaussian by name, leaves (`Component.features`).
 
     Raises:
         PluginError: a group has a tensor that is not a leaf with gradient, a repeated name, or a negative
-            learning rate.
+            learning rate; or a feature is not one finite row for each Gaussian.
     """
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, model: GaussianReader) -> None:
         self._trained: list[tuple[Part, tuple[ParameterGroup, ...], torch.optim.Adam]] = []
+        self.features: dict[str, Tensor] = {}
+        self._feature_optimizers: dict[str, torch.optim.Adam] = {}
         for part in parts:
             with part.at_work():
                 groups = tuple(part.component.parameters())
@@ -218,6 +230,39 @@ class ComponentParameters:
                     check_groups(groups)
                     options = [{"params": list(g.tensors), "lr": g.learning_rate} for g in groups]
                     self._trained.append((part, groups, torch.optim.Adam(options)))
+        for part in parts.training:
+            with part.at_work():
+                for feature in part.component.features(model):
+                    check_feature(feature, model.count, self.features)
+                    self._add(part, feature)
+
+    def _add(self, part: Part, feature: GaussianFeature) -> None:
+        name, rate = feature.name, feature.learning_rate
+        leaf = feature.values.detach().clone().requires_grad_(rate > 0)
+        self.features[name] = leaf
+        self._feature_optimizers[name] = torch.optim.Adam([leaf], lr=rate)
+        group = ParameterGroup(name, (leaf,), rate)
+        self._trained.append((part, (group,), self._feature_optimizers[name]))
+
+    def carry(self, source: Tensor, fresh: Tensor) -> None:
+        """Apply an edit to the features and their moments; see `Component.carry`.
+
+        As in 3DGS, new Gaussians have zero moments, and gradients from before the edit are dropped.
+        """
+        for number, (part, (group, *_), optimizer) in enumerate(self._trained):
+            if self._feature_optimizers.get(group.name) is not optimizer:
+                continue
+            (old,) = group.tensors
+            leaf = old.detach()[source].requires_grad_(old.requires_grad)
+            self.features[group.name] = leaf
+            moments = optimizer.state.pop(old, {})
+            optimizer.param_groups[0]["params"] = [leaf]
+            if moments:
+                optimizer.state[leaf] = {
+                    key: value[source].masked_fill(fresh[:, None], 0) if value.ndim else value
+                    for key, value in moments.items()
+                }
+            self._trained[number] = part, (replace(group, tensors=(leaf,)),), optimizer
 
     @property
     def tensors(self) -> Iterator[Tensor]:
@@ -275,6 +320,9 @@ class ComponentParameters:
     def _named(self) -> Iterator[tuple[str, Tensor, torch.optim.Adam]]:
         for part, groups, optimizer in self._trained:
             for group in groups:
+                if self._feature_optimizers.get(group.name) is optimizer:
+                    yield f"{FEATURES}/{group.name}", group.tensors[0], optimizer
+                    continue
                 for index, tensor in enumerate(group.tensors):
                     yield f"{part.item.qualified_name}/{group.name}/{index}", tensor, optimizer
 
@@ -290,6 +338,34 @@ def check_finite(gradient: Tensor | None, what: str, place: str) -> None:
             where=f"{place} {undefined[0].tolist()}",
             fix="look for a division by zero or a square root of zero",
         )
+
+
+def check_feature(feature: GaussianFeature, count: int, known: Mapping[str, Tensor]) -> None:
+    """Refuse a feature that is not one finite row for each of `count` Gaussians, or whose name is known.
+
+    Raises:
+        PluginError: see `ComponentParameters`.
+    """
+    name, values = feature.name, feature.values
+    wrong = "is given twice" if name in known else ""
+    if not _WORD.fullmatch(name):
+        wrong = "is not a word of letters, digits and '_'"
+    elif name in _IN_FILES:
+        wrong = "is a property of every PLY file"
+    if wrong:
+        raise PluginError(f"the feature name {name!r} {wrong}", fix="choose another name")
+    if values.ndim != 2 or len(values) != count or not values.shape[1]:
+        raise PluginError(
+            f"the feature {name!r} has the shape {tuple(values.shape)}, expected ({count}, channels)",
+            fix="return one row for each Gaussian of `model`",
+        )
+    if values.dtype != torch.float32 or not bool(values.isfinite().all()):
+        raise PluginError(
+            f"the feature {name!r} is {values.dtype}, or not finite",
+            fix="return finite float32 numbers",
+        )
+    if not feature.learning_rate >= 0:
+        raise PluginError(f"the learning rate of {name!r} is {feature.learning_rate}")
 
 
 def check_groups(groups: Sequence[ParameterGroup]) -> None:

@@ -2,16 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import cos, pi
 
 import torch
 from torch import Tensor
 
-from core_rasterizer import Camera, Model, Rendering
+from core_rasterizer import Camera, GaussianReader, Model, Rendering
 
-from ..contract.step import Render, Sample
+from ..contract.rendered import Access
+from ..contract.step import Render, Sample, Step
 from ..pipeline.training_settings import TrainingSettings
+
+
+def _contributions(step: Step) -> Tensor:
+    from ..toolkit.views import gathered  # with the modules that few pipelines need
+
+    camera = step.sample.camera
+    _, light = gathered(step.model, [(camera, torch.zeros(camera.height, camera.width))])
+    return light
+
+
+def _normals(step: Step) -> Tensor:
+    from ..toolkit.views import axis_normals
+
+    return axis_normals(step.model, step.sample.camera)
+
+
+OUTPUTS: Mapping[str, Callable[[Step], Tensor]] = {
+    "normals": _normals,
+    "contributions": _contributions,
+}
+"""How the outputs of `Step` that components declare are made, by name."""
+
+
+class StepReader(GaussianReader):
+    """The Gaussians of an iteration, without the statistics that a component does not declare."""
+
+    def __init__(self, model: Model, access: Access) -> None:
+        super().__init__(model)
+        self._access = access
+
+    def screen_gradient(self) -> Tensor:
+        """Return the mean norm of the screen-space gradient; see `GaussianReader.screen_gradient`."""
+        self._access.refuse_undeclared("screen_gradient")
+        return super().screen_gradient()
+
+    def absolute_screen_gradient(self) -> Tensor:
+        """Return it without cancellation; see `GaussianReader.absolute_screen_gradient`."""
+        self._access.refuse_undeclared("absolute_screen_gradient")
+        return super().absolute_screen_gradient()
 
 
 def step_renderer(model: Model, sample: Sample, *, gradients: bool = True) -> Render:

@@ -164,7 +164,7 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
     from registry.training.placed import PlacedGaussians
 
     if not kinds and min_confidence is None:
-        return run.model
+        return run.exported
     known, left_out = run.kinds, torch.zeros(run.engine_model.count, dtype=torch.bool)
     for kind in kinds:
         if kind not in known:
@@ -176,18 +176,18 @@ def _reader(run: Run, kinds: Sequence[str], min_confidence: float | None) -> Gau
                 else "its initializer does not distinguish kinds, or an older version trained it",
             )
         left_out |= known[kind]
-    attributes = {}
+    attributes = run.features
     if min_confidence is not None:
-        values = _confidence_of_gaussians(run.trained)
-        left_out |= values < min_confidence
-        attributes = {"confidence": values[~left_out]}
+        attributes["confidence"] = _confidence_of_gaussians(run.trained)
+        left_out |= attributes["confidence"] < min_confidence
     if left_out.all():
         where = f"--without {','.join(kinds)}" if kinds else f"--min-confidence {min_confidence}"
         fix = "name fewer kinds with --without, or choose a lower --min-confidence"
         raise RunError("all Gaussians would be left out", where=where, fix=fix)
     kept = {name: values[~left_out] for name, values in vars(run.engine_model.gaussians()).items()}
     model = new_model(Gaussians(**kept), run.pipeline.training, run.engine_model.engine)
-    return PlacedGaussians(model, run.frame, attributes)
+    rows = {name: values[~left_out] for name, values in attributes.items()}
+    return PlacedGaussians(model, run.frame, rows)
 
 
 def _confidence_of_gaussians(trained: Trained) -> Tensor:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from core_rasterizer import Edit, GaussianReader
+    from registry import Rendered
 
 
 class CoPruningSettings(Settings):
@@ -40,21 +41,23 @@ class CoPruning(Densification[CoPruningSettings]):
     field loses a Gaussian that the other one needs.
     """
 
-    needs_fields = 2
     host_defaults = HostDefaults(start=Percent(10), every=Percent(5))
+
+    @classmethod
+    def needs_rendered(cls, settings: CoPruningSettings) -> tuple[Rendered, ...]:
+        """Return that it compares fields."""
+        return ("other_fields",)
 
     def refine(self, step: Step) -> Edit:
         """Return the pruning mask.
 
         Raises:
-            PluginError: there is a single field, or no Gaussian has a counterpart.
+            PluginError: no Gaussian has a counterpart.
         """
         import torch
 
         from core_rasterizer import Edit
 
-        if not step.others:
-            raise PluginError("co-pruning requires two fields", fix="set `training.fields` to 2")
         isolated = torch.zeros(step.model.count, dtype=torch.bool)
         for other in step.others:
             isolated |= self._without_counterpart(step, other.model)

@@ -17,6 +17,7 @@ from registry import Densification, HostDefaults, Percent, Register, Settings, S
 
 if TYPE_CHECKING:
     from core_rasterizer import Edit
+    from registry import Rendered
 
 
 class GradientThresholdSettings(Settings):
@@ -48,10 +49,12 @@ class GradientThreshold(Densification[GradientThresholdSettings]):
 
     host_defaults = HostDefaults(start=Percent(2), stop=Percent(49.9), every=100, phase=0)
 
-    @property
-    def absolute_gradients(self) -> bool:
-        """Whether splits use absolute gradients."""
-        return self.settings.absolute_threshold is not None
+    @classmethod
+    def needs_rendered(cls, settings: GradientThresholdSettings) -> tuple[Rendered, ...]:
+        """Return the screen gradients that decide."""
+        if settings.absolute_threshold is None:
+            return ("screen_gradient",)
+        return ("screen_gradient", "absolute_screen_gradient")
 
     def refine(self, step: Step) -> Edit | None:
         """Return the edit, even if empty, which resets the statistics; None if skipped."""

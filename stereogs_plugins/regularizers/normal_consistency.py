@@ -21,10 +21,12 @@ from registry import (
 )
 from registry.priors import MonocularDepthPrior, NormalPrior
 from registry.toolkit.images import at_size
-from registry.toolkit.views import axis_normals, depth_normals
+from registry.toolkit.views import depth_normals
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from registry import Rendered
 
 
 class NormalConsistency(Regularizer[Settings]):
@@ -36,11 +38,16 @@ class NormalConsistency(Regularizer[Settings]):
 
     host_defaults = HostDefaults(weight=0.02, start=Percent(20))
 
+    @classmethod
+    def needs_rendered(cls, settings: Settings) -> tuple[Rendered, ...]:
+        """Return that it reads the normals of the Gaussians."""
+        return ("normals",)
+
     def loss(self, step: Step) -> Tensor:
         """Return the loss, in [0, 2]; 0 if no depth is known."""
-        camera, rendering = step.sample.camera, step.rendering
-        surface = depth_normals(rendering, camera)
-        agreement = (axis_normals(step.model, camera) * surface).sum(dim=2)
+        rendering = step.rendering
+        surface = depth_normals(rendering, step.sample.camera)
+        agreement = (step.normals * surface).sum(dim=2)
         return _mean(rendering.alpha.detach() - agreement, _known(surface, step))
 
 

@@ -146,6 +146,10 @@ class ToyPicture(r.Regularizer[PictureSettings]):
 class ToyTwin(r.Regularizer[r.Settings]):
     """A loss on the difference to the renders of other fields."""
 
+    @classmethod
+    def needs_rendered(cls, settings: r.Settings) -> tuple[r.Rendered, ...]:
+        return ("other_fields",)
+
     def loss(self, step: r.Step) -> Tensor:
         step.log("others", len(step.others))
         terms = [(step.rendering.rgb - o.rendering.rgb).abs().mean() for o in step.others]
@@ -215,9 +219,9 @@ class ToyMove(r.Densification[MoveSettings]):
         super().__init__(settings, context)
         self.parent = torch.zeros(0, dtype=torch.int64)
 
-    @property
-    def absolute_gradients(self) -> bool:
-        return self.settings.absolute
+    @classmethod
+    def needs_rendered(cls, settings: MoveSettings) -> tuple[r.Rendered, ...]:
+        return ("screen_gradient", *(("absolute_screen_gradient",) if settings.absolute else ()))
 
     def refine(self, step: r.Step) -> Edit:
         count, settings = step.model.count, self.settings

@@ -207,6 +207,7 @@ ELSEWHERE = {
     "priors.dis_flow": "priors/test_dis_flow.py",
     "priors.onnx_flow": "priors/test_onnx_flow.py",
     "priors.onnx_moge": "priors/test_onnx_moge.py",
+    "priors.onnx_gaussians": "priors/feed_forward/test_onnx_gaussians.py",
     "priors.onnx_posed": "priors/feed_forward/test_onnx_posed.py",
     "priors.onnx_matching": "priors/test_onnx_matching.py",
     "priors.sift_matches": "priors/test_sift_matches.py",

@@ -20,6 +20,7 @@ __all__ = [
     "FrozenShape",
     "Padding",
     "ValueRange",
+    "contained",
     "depth_map",
     "full_size_maps",
     "in_range",
@@ -37,13 +38,16 @@ Shape = tuple[int, int]
 """`(height, width)`, as in shapes of tensors; a `Size` of `registry.toolkit.photos` is (width, height)."""
 FrozenShape = tuple[int | None, int | None]
 """Shape of a graph's input; None for a side that is dynamic."""
-Padding = Literal["replicate", "black"]
+Padding = Literal["replicate", "black", "white", "mean"]
+"""What surrounds an image: its border, or a colour; `mean` is that of ImageNet."""
 ValueRange = Literal["0..255", "0..1", "-1..1", "imagenet"]
 
+_MEAN = (0.485, 0.456, 0.406)
 _MEAN_AND_DEVIATION = {
     "-1..1": ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5)),
-    "imagenet": ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)),
+    "imagenet": (_MEAN, (0.229, 0.224, 0.225)),
 }
+_COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "mean": _MEAN}
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,11 @@ class Fit:
             top, left = self._offset
             bottom = self.target[0] - self.content[0] - top
             right = self.target[1] - self.content[1] - left
-            mode = "replicate" if padding == "replicate" else "constant"
-            images = pad(images, (left, right, top, bottom), mode=mode)
+            border = (left, right, top, bottom)
+            if padding == "replicate":
+                return pad(images, border, mode="replicate")
+            color = images.new_tensor(_COLORS[padding])[:, None, None]
+            images = pad(images - color, border) + color
         return images
 
     def undo(self, maps: Tensor) -> Tensor:
@@ -118,6 +125,14 @@ class Fit:
         moved = points - points.new_tensor([left, top])
         return moved * points.new_tensor([self.width_factor, self.height_factor])
 
+    def undo_intrinsics(self, intrinsics: Tensor) -> Tensor:
+        """Convert intrinsics `[3, 3]` in pixels of the target to pixels of the image."""
+        changed = intrinsics.clone()
+        changed[0] *= self.width_factor
+        changed[1] *= self.height_factor
+        changed[:2, 2] = self.undo_points(intrinsics[None, :2, 2])[0]
+        return changed
+
     @property
     def _offset(self) -> Shape:
         """Padding above and left of the content; of an odd padding, the larger half follows the content."""
@@ -134,6 +149,13 @@ def padded(image: Shape, frozen: FrozenShape, multiple: int) -> Fit:
         for side, length in zip(frozen, content, strict=True)
     )
     return Fit(image, content, (height, width))
+
+
+def contained(image: Shape, target: Shape) -> Fit:
+    """Resize to the largest size that fits into the target with the same proportions, and pad."""
+    factor = min(target[0] / image[0], target[1] / image[1])
+    content = (max(1, round(image[0] * factor)), max(1, round(image[1] * factor)))
+    return Fit(image, content, target)
 
 
 def stretched(image: Shape, frozen: FrozenShape, multiple: int) -> Fit:

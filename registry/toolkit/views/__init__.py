@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .light_shares import gathered as gathered, same_model as same_model
     from .normals import (
         axis_normals as axis_normals,
+        blended as blended,
         blended_normals as blended_normals,
         depth_normals as depth_normals,
     )

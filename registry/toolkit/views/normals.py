@@ -56,6 +56,50 @@ def axis_normals(model: GaussianReader, camera: Camera) -> Tensor:
     )
 
 
+def blended(
+    model: GaussianReader, values: Tensor, camera: Camera, *, move_gaussians: bool = False
+) -> Tensor:
+    """Render numbers of each Gaussian: the sum of value * alpha_i * T_i, three channels in one pass.
+
+    Not divided by alpha: 0 where nothing was hit.
+
+    Args:
+        values: `[N, C]`, of any size; gradients flow to them.
+        move_gaussians: If True, gradients also flow to the parameters of the Gaussians, except their colours.
+
+    Returns:
+        `[H, W, C]` in autograd.
+    """
+    import torch
+
+    from core_rasterizer import rasterize
+    from core_rasterizer.gaussians import SH_C0
+
+    names = ("means", "quaternions", "scales", "opacities")
+    known = [model.parameter(name) for name in names]
+    means, quaternions, scales, opacities = (p if move_gaussians else p.detach() for p in known)
+    low, high = values.detach().aminmax(dim=0)
+    middle, half = (low + high) / 2, ((high - low) / 2).clamp(min=1e-6)
+    # As colours between 1/4 and 3/4, which no clamp changes.
+    unit = torch.nn.functional.pad((values - middle) / half, (0, -values.shape[1] % 3))
+    images = []
+    for three in unit.split(3, dim=1):
+        rendering = rasterize(
+            means,
+            quaternions,
+            scales,
+            opacities,
+            three[:, None] / (4 * SH_C0),
+            camera,
+            dilation=model.dilation,
+            compensate_dilation=model.compensate_dilation,
+            device=model.device,
+        )
+        images.append(4 * rendering.rgb - 2 * rendering.alpha[..., None])
+    alpha = rendering.alpha[..., None]
+    return torch.cat(images, dim=2)[..., : values.shape[1]] * half + alpha * middle
+
+
 def blended_normals(
     means: Tensor,
     quaternions: Tensor,

@@ -59,6 +59,10 @@ or a prior is missing, or if a component is never due or called far too often.
                 output.print(f"  {component.name}")
                 for label, text in component.notes:
                     output.print(f"    {label:<6} {text}")
+        if asked := list(_asked(pipeline)):
+            output.print("\nrendered or collected on request")
+            for line in asked:
+                output.print(f"  {line}")
         output.print(f"\nmemory, estimated\n  {memory(pipeline)}")
         output.print(f"\nthe pipeline in full\n\n{without_credentials(pipeline.to_yaml())}")
         found = faults(pipeline)
@@ -83,6 +87,24 @@ def explained(pipeline: Pipeline) -> Iterator[tuple[str, list[Explained]]]:
         items = [item for point in points for item in pipeline.items[point.section]]
         if items:
             yield stage, [_explained(item, pipeline) for item in items]
+
+
+def _asked(pipeline: Pipeline) -> Iterator[str]:
+    """Yield each output that components declare, with the components and when they use it."""
+    from registry.contract.rendered import RENDERED
+    from registry.pipeline.faults import rendered_for
+
+    asking = rendered_for(pipeline)
+    for name in RENDERED:
+        who = [
+            f"{item.qualified_name} ({_when(item, pipeline.training.iterations)})"
+            for item, names in asking
+            if name in names
+        ]
+        if name == "screen_gradient" and pipeline.training.max_gaussians:
+            who.append("training.max_gaussians")
+        if who:
+            yield f"{name}: {', '.join(who)}"
 
 
 def memory(pipeline: Pipeline) -> str:

@@ -25,6 +25,7 @@ from registry.pipeline.pipeline import component_item
 from registry.pipeline.settings_check import escape_variables, plain
 from registry.pipeline.yaml_source import parse, to_yaml
 from registry.priors import (
+    GaussiansPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -210,6 +211,8 @@ def score(prior: Prior[Any], truth: Truth) -> Score:
         return _pixels(errors.where(flow.valid, torch.inf)[truth.visible])
     if isinstance(prior, MultiViewDepthPrior):
         return _depths(prior, truth)
+    if isinstance(prior, GaussiansPrior):
+        return _surface(prior, truth)
     if isinstance(prior, PosedDepthPrior):
         return _reprojected(prior, truth)
     if isinstance(prior, MonocularDepthPrior):
@@ -235,6 +238,28 @@ def _pixels(errors: Tensor) -> Score:
         wrong,
         f"{wrong:.1%} of the pixels that both images show are off by more than {PIXELS:g} px or "
         f"missing; {len(known) / len(errors):.0%} have a prediction, median error {middle}",
+    )
+
+
+def _surface(prior: GaussiansPrior[Any], truth: Truth) -> Score:
+    """Score the nearest opaque Gaussian of each pixel of the first view by its depth."""
+    view = truth.views[0]
+    found = prior.estimate(truth.views, truth.bounds)
+    u, v, z = view.camera.project(found.positions.double())
+    seen = view.camera.contains(u, v) & (z > 0)
+    if found.opacities is not None:
+        seen &= found.opacities >= 0.5
+    expected = _depth(view)
+    pixels = v[seen].long() * view.camera.width + u[seen].long()
+    nearest = torch.full((expected.numel(),), torch.inf, dtype=torch.float64)
+    nearest.scatter_reduce_(0, pixels, z[seen], "amin")
+    known = nearest.isfinite()
+    right = known & ((nearest / expected.ravel() - 1).abs() <= RELATIVE_DEPTH)
+    share, of_known = (float(right.double().mean()), float(right.sum() / known.sum().clamp(min=1)))
+    return Score(
+        1 - of_known,
+        f"nearest Gaussian correct within {RELATIVE_DEPTH:.0%} in {of_known:.1%} of the pixels with one, and "
+        f"in {share:.1%} of all",
     )
 
 

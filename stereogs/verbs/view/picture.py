@@ -27,6 +27,7 @@ QUICK_SECONDS = 0.08
 """Time for an image while the camera moves."""
 SHARP_SECONDS = 0.8
 """Time for an image once the camera stands still."""
+_SELECTED_COLOR, _SELECTED_SHARE = (1.0, 0.9, 0.1), 0.7
 _MIN_PIXELS = 120 * 160
 _FIRST_GUESS = 2e6
 """Pixels per second before an image has been timed."""
@@ -57,9 +58,13 @@ class Look:
     box: Box | None = None
 
 
-def visible(subject: Subject, look: Look) -> Tensor | None:
-    """Return a mask `[N]` bool of the Gaussians to render; None for all."""
-    mask = torch.ones(subject.model.count, dtype=torch.bool)
+def visible(subject: Subject, look: Look, deleted: Tensor) -> Tensor | None:
+    """Return a mask `[N]` bool of the Gaussians to render; None for all.
+
+    Args:
+        deleted: mask `[N]` bool of Gaussians to leave out.
+    """
+    mask = ~deleted
     for kind in look.hidden:
         mask &= ~subject.kinds[kind]
     if look.box is not None:
@@ -70,7 +75,11 @@ def visible(subject: Subject, look: Look) -> Tensor | None:
 
 
 def render(
-    subject: Subject, camera: Camera, channel: Channel, mask: Tensor | None = None
+    subject: Subject,
+    camera: Camera,
+    channel: Channel,
+    mask: Tensor | None = None,
+    selected: Tensor | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return an image `[H, W, 3]` and its z-depth `[H, W]`, world units.
 
@@ -78,6 +87,7 @@ def render(
 
     Args:
         mask: from `visible`.
+        selected: mask `[N]` bool of Gaussians that shine through others; None for none.
     """
     scale = None if mask is None else mask.float()
     with torch.no_grad():
@@ -88,6 +98,10 @@ def render(
         image = hatched(rendering.rgb.clamp(0, 1), subject.confidence().of(camera))
     else:
         image = _channel(rendering, channel)
+    if selected is not None:
+        with torch.no_grad():
+            marked = subject.model.render(camera, opacity_scale=selected.float()).alpha[..., None]
+        image = image + _SELECTED_SHARE * marked * (torch.tensor(_SELECTED_COLOR) - image)
     return to_bytes(image), depth.numpy()
 
 

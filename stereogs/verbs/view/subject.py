@@ -19,12 +19,14 @@ from registry import Scene
 from registry.confidence import Confidence
 from registry.contract.frame import Frame
 from registry.contract.scene import camera_extent
+from registry.runs.results import EXPORTS
 from registry.runs.run import Run
 from registry.toolkit.drawing import upwards
 from registry.toolkit.drawing.camera_path import Vector
 from registry.toolkit.photos import Finite, read_document
 from registry.training.initial_model import new_model
 
+from .edits import Source
 from .reach import Reach
 
 _DEFAULT_UP = (0.0, -1.0, 0.0)
@@ -67,6 +69,7 @@ class Subject:
         background: color in [0, 1].
         kinds: mask `[N]` bool of the Gaussians that descend from each kind of initial points.
         confidence: returns the confidence in renders, estimated on the first call; None if unknown.
+        source: where edited Gaussians are saved; None if these cannot be edited.
     """
 
     name: str
@@ -75,13 +78,18 @@ class Subject:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     kinds: Mapping[str, Tensor] = field(default_factory=dict)
     confidence: Callable[[], Confidence] | None = None
+    source: Source | None = None
 
 
 def of_run(run: Run) -> Subject:
     """Return the Gaussians of a run, not copied, with their confidence."""
     confidence = cache(lambda: run.trained.confidence("calibrated"))
-    subject = _of(run, run.engine_model, run.kinds)
-    return replace(subject, confidence=confidence if run.photographs else None)
+    subject, placed = _of(run, run.engine_model, run.kinds), run.model
+    source = None
+    if run.folder is not None:
+        path = run.folder.path / EXPORTS / "scene.ply"
+        source = Source(path, placed.gaussians, placed.attributes)
+    return replace(subject, confidence=confidence if run.photographs else None, source=source)
 
 
 def snapshot(run: Run) -> Subject:
@@ -108,7 +116,7 @@ def of_file(path: Path, device: Device) -> Subject:
         Viewpoint(name, frame.camera_of_file(camera)) for name, camera in _cameras_of(path)
     )
     model = OpenCLEngine(device).model(frame.gaussians_of_file(gaussians))
-    return Subject(path.name, model, viewpoints)
+    return Subject(path.name, model, viewpoints, source=Source(path, lambda: gaussians, {}))
 
 
 def _of(run: Run, model: Model, kinds: Mapping[str, Tensor]) -> Subject:

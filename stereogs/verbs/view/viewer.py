@@ -15,11 +15,14 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
+from core_rasterizer import Camera
 from registry.toolkit.drawing.camera_path import Vector
 
 from . import import_viser
 from .decoration import add_box, add_cameras, add_ellipsoids
+from .editor import Editor
 from .guard import Guard
 from .picture import (
     CHANNELS,
@@ -65,13 +68,13 @@ class Viewer:
         self._moved: dict[int, Any] = {}
         self._blurred: dict[int, Any] = {}
         self._started: set[int] = set()
-        self._mask = visible(subject, Look())
-        self._masked: tuple[Subject, Look] = (subject, Look())
+        self._mask: Tensor | None = None
+        self._masked: tuple[Subject, Look, int] | None = None
         self._guard = Guard()
         self._server = _server(port, subject.name, self._guard)
         self._ellipsoids: Any = None
         self._box: Any = None
-        self._decorated: tuple[Subject, Look, bool] = (subject, Look(), False)
+        self._decorated: tuple[Subject, Look, bool, int] = (subject, Look(), False, 0)
         start = start_pose(subject)
         self._unit = start.distance
         self._reach = start.reach
@@ -87,6 +90,13 @@ class Viewer:
             on_cameras=self._show_cameras,
             has_photographs=start.reach is not None,
             on_back=lambda client: self._go_to_start(client, start),
+        )
+        self._editor = Editor(
+            self._server,
+            subject,
+            look=lambda: self._controls.look,
+            camera=self._camera_of,
+            wake=self._wake,
         )
         self._controls.status.content = f"{subject.model.count:,} Gaussians"
         self._set_start(start)
@@ -111,6 +121,7 @@ class Viewer:
             iteration: number of completed iterations.
         """
         self._subject = subject
+        self._editor.edit(subject)
         status = f"{subject.model.count:,} Gaussians after iteration {iteration:,}"
         self._controls.status.content = status
         self._request_all()
@@ -119,14 +130,16 @@ class Viewer:
         """Render for clients that move within `timeout` seconds; if none does, render sharp images."""
         timeout = min(timeout, SETTLED_SECONDS) if self._blurred else timeout
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._moved), timeout=timeout)
+            self._changed.wait_for(lambda: self._moved or self._editor.waits, timeout=timeout)
         if self.serve_moved():
             return
         self._render_all(self._blurred, SHARP_SECONDS)
         self._blurred = {}
 
     def serve_moved(self) -> bool:
-        """Render quick images for clients that moved; return whether there were any."""
+        """Apply edits, and render quick images for clients that moved; return whether there were any."""
+        if self._editor.apply():
+            self._request_all()
         with self._changed:
             moved, self._moved = self._moved, {}
         if not moved:
@@ -160,9 +173,21 @@ class Viewer:
         if self._ellipsoids is not None:  # they replace the image
             client.scene.set_background_image(None)
             return
-        look, seen = self._controls.look, client.camera
-        if (self._subject, look) != self._masked:
-            self._mask, self._masked = visible(self._subject, look), (self._subject, look)
+        look, edits = self._controls.look, self._editor.edits
+        if (key := (self._subject, look, edits.revision)) != self._masked:
+            self._mask, self._masked = visible(self._subject, look, edits.deleted), key
+        camera = self._camera_of(client, seconds)
+        selected = edits.selected if edits.selected.any() else None
+        begin = time.monotonic()
+        image, depth = render(self._subject, camera, look.channel, self._mask, selected)
+        self._pace.add(camera.width * camera.height, time.monotonic() - begin)
+        client.scene.set_background_image(
+            image, format="jpeg", jpeg_quality=_JPEG_QUALITY, depth=depth / self._unit
+        )
+
+    def _camera_of(self, client: Any, seconds: float = SHARP_SECONDS) -> Camera:
+        """Return a client's camera, of a size that probably renders in this time."""
+        seen = client.camera
         window = (seen.image_width or _WINDOW[0], seen.image_height or _WINDOW[1])
         shrink = min(1.0, _MAX_WIDE / window[0])
         width, height = self._pace.size(
@@ -170,13 +195,7 @@ class Viewer:
         )
         axes = Rotation.from_quat(seen.wxyz, scalar_first=True).as_matrix()
         position = np.asarray(seen.position) * self._unit
-        camera = camera_of(axes, position, seen.fov, width, height)
-        begin = time.monotonic()
-        image, depth = render(self._subject, camera, look.channel, self._mask)
-        self._pace.add(width * height, time.monotonic() - begin)
-        client.scene.set_background_image(
-            image, format="jpeg", jpeg_quality=_JPEG_QUALITY, depth=depth / self._unit
-        )
+        return camera_of(axes, position, seen.fov, width, height)
 
     def _connect(self, client: Any) -> None:
         client.camera.on_update(lambda _: self._follow(client))
@@ -205,6 +224,10 @@ class Viewer:
             self._moved[client.client_id] = client
             self._changed.notify()
 
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify()
+
     def _request_all(self) -> None:
         for client in self._server.get_clients().values():
             self._request(client)
@@ -216,14 +239,15 @@ class Viewer:
     def _decorate(self) -> None:
         """Update the ellipsoids and the crop box."""
         subject, look, ellipsoids = self._subject, self._controls.look, self._controls.ellipsoids
-        if self._decorated == (subject, look, ellipsoids):
+        edits = self._editor.edits
+        if self._decorated == (key := (subject, look, ellipsoids, edits.revision)):
             return
-        self._decorated = (subject, look, ellipsoids)
+        self._decorated = key
         for handle in filter(None, (self._ellipsoids, self._box)):
             handle.remove()
         self._ellipsoids = self._box = None
         if ellipsoids:
-            gaussians, mask = subject.model.gaussians(), visible(subject, look)
+            gaussians, mask = subject.model.gaussians(), visible(subject, look, edits.deleted)
             self._ellipsoids = add_ellipsoids(self._server, gaussians, mask, self._unit)
         if look.box is not None:
             self._box = add_box(self._server, look.box, self._unit)

@@ -17,7 +17,7 @@ from pydantic import Field
 from registry import Context, PluginError, Register, hookimpl
 from registry.priors import PosedDepth, PosedDepthPrior
 from registry.toolkit.networks import OnnxModel, OnnxModelSettings
-from registry.toolkit.networks.image_fitting import Fit, ValueRange
+from registry.toolkit.networks.image_fitting import Fit, Padding, ValueRange
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -41,7 +41,7 @@ class Family:
             outputs without the axis of the batch, and (H, W).
         value_ranges: ranges of pixel values that exports expect, the usual one first.
         long_side: longer side of images in pixels, if the graph's size is dynamic.
-        border: brightness around images of another shape; None repeats the image's border.
+        padding: what surrounds images of other proportions.
         published: the network and the address of its weights.
     """
 
@@ -52,7 +52,7 @@ class Family:
     read: Callable[[Outputs, Shape], tuple[Tensor, Tensor]]
     value_ranges: tuple[ValueRange, ...]
     long_side: int
-    border: float | None
+    padding: Padding
     published: str
 
 
@@ -85,7 +85,7 @@ FAMILIES = {
         read=_matrices,
         value_ranges=("imagenet", "0..1"),
         long_side=504,
-        border=None,
+        padding="replicate",
         published="Depth Anything 3 (https://github.com/ByteDance-Seed/Depth-Anything-3)",
     ),
     "vggt": Family(
@@ -96,7 +96,7 @@ FAMILIES = {
         read=_encoded,
         value_ranges=("0..1",),
         long_side=518,
-        border=1.0,
+        padding="white",
         published="VGGT (https://github.com/akretz/vggt-onnx)",
     ),
 }
@@ -171,7 +171,7 @@ class OnnxPosed(PosedDepthPrior[OnnxPosedSettings]):
         return [
             PosedDepth(
                 poses[k],
-                _of_photograph(lenses[k], fit),
+                fit.undo_intrinsics(lenses[k]),
                 *fit.undo(torch.stack([depth[k], certain[k]])),
             )
             for k, fit in enumerate(fits)
@@ -185,13 +185,10 @@ class OnnxPosed(PosedDepthPrior[OnnxPosedSettings]):
 
         family = self._family
         spec = self._model.input()
-        planes = []
-        for image, fit in zip(images, fits, strict=True):
-            plane = image.permute(2, 0, 1)[None]
-            if family.border is None:
-                planes.append(fit.apply(plane))
-            else:  # a black border, then brighter by the border
-                planes.append(fit.apply(plane - family.border, padding="black") + family.border)
+        planes = [
+            fit.apply(image.permute(2, 0, 1)[None], padding=family.padding)
+            for image, fit in zip(images, fits, strict=True)
+        ]
         batch = in_range(torch.cat(planes), self.settings.value_range or family.value_ranges[0])
         outputs = self._model.run({spec.name: batch[None] if len(spec.shape) == 5 else batch})
         expected = (family.depth, family.confidence, *((name,) for name in family.cameras))
@@ -209,21 +206,17 @@ class OnnxPosed(PosedDepthPrior[OnnxPosedSettings]):
         return found
 
     def _fits(self, sizes: Sequence[Shape]) -> list[Fit]:
-        """Images as large as fit into the graph's size, or with its longer side, with equal borders."""
-        frozen = self._model.input().shape[-2:]
+        """Images as large as fit into the graph's size, or into one with its longer side."""
+        from registry.toolkit.networks.image_fitting import contained
+
         longest = self.settings.long_side or self._family.long_side
-        contents = []
-        for size in sizes:
-            limits = [(side or longest) / length for side, length in zip(frozen, size, strict=True)]
-            contents.append(tuple(max(1, round(length * min(limits))) for length in size))
-        height, width = (
-            side or math.ceil(max(content[axis] for content in contents) / PATCH) * PATCH
-            for axis, side in enumerate(frozen)
+        open_size = (
+            max(math.ceil(size[axis] * longest / max(size) / PATCH) * PATCH for size in sizes)
+            for axis in (0, 1)
         )
-        return [
-            Fit(size, (content[0], content[1]), (height, width))
-            for size, content in zip(sizes, contents, strict=True)
-        ]
+        frozen = self._model.input().shape[-2:]
+        height, width = (side or wanted for side, wanted in zip(frozen, open_size, strict=True))
+        return [contained(size, (height, width)) for size in sizes]
 
 
 def _family_of(model: OnnxModel) -> Family | None:
@@ -247,15 +240,6 @@ def _view_count(model: OnnxModel) -> int | None:
 
 def _one(names: Sequence[str], outputs: Outputs) -> str:
     return next(name for name in names if name in outputs)
-
-
-def _of_photograph(lens: Tensor, fit: Fit) -> Tensor:
-    """Intrinsics `[3, 3]` of the network's image, in pixels of the photograph."""
-    scaled = lens.clone()
-    scaled[0] *= fit.width_factor
-    scaled[1] *= fit.height_factor
-    scaled[:2, 2] = fit.undo_points(lens[None, :2, 2])[0]
-    return scaled
 
 
 @hookimpl

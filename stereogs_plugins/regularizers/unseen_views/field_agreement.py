@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from registry import HostDefaults, Percent, PluginError, Regularizer, Settings, Step
+from registry import HostDefaults, Percent, Regularizer, Settings, Step
 from registry.toolkit.views import virtual_views
 from registry.toolkit.views.virtual_views import VirtualViewKind
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from registry import Rendered
 
 
 class FieldAgreementSettings(Settings):
@@ -32,21 +34,19 @@ class FieldAgreement(Regularizer[FieldAgreementSettings]):
     Each field draws its own cameras; the paper uses the same camera for both.
     """
 
-    needs_fields = 2
     host_defaults = HostDefaults(start=Percent(5))
 
-    def loss(self, step: Step) -> Tensor:
-        """Return the sum over the other fields (`training.fields`).
+    @classmethod
+    def needs_rendered(cls, settings: FieldAgreementSettings) -> tuple[Rendered, ...]:
+        """Return that it compares fields."""
+        return ("other_fields",)
 
-        Raises:
-            PluginError: there is a single field.
-        """
+    def loss(self, step: Step) -> Tensor:
+        """Return the sum over the other fields (`training.fields`)."""
         import torch
 
         from core_rasterizer import photometric_loss
 
-        if not step.others:
-            raise PluginError("agreement requires two fields", fix="set `training.fields` to 2")
         camera = virtual_views.draw(self.settings.views, step.scene, self.generator)
         rendered, device = step.render(camera).rgb, step.model.device
         terms = [

@@ -200,3 +200,29 @@ def test_paths_in_the_home_folder_exist(tmp_path: Path, monkeypatch: pytest.Monk
     pipeline = build_pipeline({"name": "home", "scene": scene, "initializer": "sfm"})
     assert not any("does not exist" in fault for fault in faults(pipeline))
     assert _size(Path("~/fern")) == "a folder"
+
+
+def test_outputs_on_request_and_who_asked(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from tests.host import main
+
+    monkeypatch.delenv(SELECTION, raising=False)
+    path = tmp_path / "p.yaml"
+    path.write_text(
+        "name: p\nscene: procedural\ninitializer: sfm\nregularizers: [normal_consistency]\n"
+        "densification: {use: gradient_threshold, absolute_threshold: 0.0004, start: 20, stop: 40, "
+        "every: 20}\n"
+        "training: {iterations: 100, max_gaussians: 500}\n"
+    )
+    assert main(["explain", str(path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (
+        "rendered or collected on request normals: regularizers.normal_consistency (iterations 20, 21 to "
+        "100, 81 times) screen_gradient: densification.gradient_threshold (iteration 20, 40), "
+        "training.max_gaussians absolute_screen_gradient: densification.gradient_threshold (iteration 20, 40)"
+    ) in shown
+    path.write_text(path.read_text().replace("normal_consistency", "field_agreement"))
+    assert main(["explain", str(path)]) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "fault: regularizers.field_agreement: it needs 'other_fields', but training has" in shown

@@ -7,7 +7,8 @@ from torch import Tensor
 from core_rasterizer import GaussianModel, Gaussians, open_device
 from registry import HostDefaults, OtherField, Percent, PluginError, Step
 from stereogs_plugins.densification.co_pruning import CoPruning
-from tests.stereogs_plugins.building import build, some_gaussians, step_with
+from tests.host import TrainingSettings, pipeline_item, pipeline_of, refuse_unmet_needs
+from tests.stereogs_plugins.building import build, step_with
 
 
 def test_the_default_schedule() -> None:
@@ -66,7 +67,8 @@ def test_the_order_in_which_two_fields_are_pruned_changes_nothing() -> None:
 
 def test_a_single_field_and_fields_without_anything_in_common_are_refused() -> None:
     policy = build(CoPruning, distance=0.5)
-    with pytest.raises(PluginError, match="two fields"):
-        policy.refine(step_with(some_gaussians([0.1], [0.5])))
+    one = pipeline_of([pipeline_item(CoPruning, policy.settings, "pruning")], TrainingSettings())
+    with pytest.raises(PluginError, match="training has a single field"):
+        refuse_unmet_needs(one)
     with pytest.raises(PluginError, match=r"counterpart within 0\.5"):
         policy.refine(step_beside(torch.zeros(3, 3), torch.full((3, 3), 9.0)))

@@ -70,7 +70,7 @@ def test_splits_may_go_by_gradients_that_do_not_cancel() -> None:
     numbers = {"gradient_threshold": 1e-12, "percent_dense": 0.1}
     policy = build(GradientThreshold, absolute_threshold=threshold, **numbers)
     edit = edit_of(policy, step)
-    assert policy.absolute_gradients
+    assert "absolute_screen_gradient" in policy.needs_rendered(policy.settings)
     assert usual.split is not None
     assert edit.split is not None
     assert edit.clone is not None

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from registry import Settings, TrainingView
+from registry import PointCloud, Settings, TrainingView
 from registry.priors import (
     DepthMap,
+    GaussiansPrior,
     Matches,
     MatchingPrior,
     MonocularDepthPrior,
@@ -66,6 +67,18 @@ def matches(answer: Matches) -> MatchingPrior[Settings]:
 
     class Known(MatchingPrior[Settings]):
         def estimate(self, first: Tensor, second: Tensor) -> Matches:
+            return answer
+
+    return build(Known)
+
+
+def gaussians(answer: PointCloud) -> GaussiansPrior[Settings]:
+    """Returns fixed Gaussians."""
+
+    class Known(GaussiansPrior[Settings]):
+        def estimate(
+            self, views: Sequence[TrainingView], bounds: tuple[float, float]
+        ) -> PointCloud:
             return answer
 
     return build(Known)

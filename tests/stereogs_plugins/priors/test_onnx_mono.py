@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from registry import PluginError
+from core_rasterizer import Camera
+from registry import PluginError, TrainingView
 from registry.toolkit.networks import OnnxModel
 from stereogs_plugins.priors.onnx_mono import OnnxMono, stereogs_register_priors
 from tests.stereogs_plugins.building import build, offered
@@ -74,8 +75,8 @@ def test_the_image_has_the_value_range_of_the_family(
     assert torch.allclose(answer, torch.tensor(10 + expected), atol=1e-4)
 
 
-def test_a_graph_like_metric3d_with_depth_and_normals(tmp_path: Path) -> None:
-    """`image` [1, 3, 616, 1064] in 0..255; `pred_depth` beside normals and their confidence."""
+def metric3d(path: Path) -> Path:
+    """`image` `[1, 3, 616, 1064]` in 0..255: depth is red + 1; beside it normals and their confidence."""
     graph = graphs.Graph()
     shape = (1, 3, 616, 1064)
     given = graph.input("image", shape)
@@ -83,15 +84,120 @@ def test_a_graph_like_metric3d_with_depth_and_normals(tmp_path: Path) -> None:
     graph.output("pred_depth", graph("Add", red, graph.constant(1.0)), (1, 1, *shape[2:]))
     graph.output("pred_normal", given, shape)
     graph.output("normal_confidence", red, (1, 1, *shape[2:]))
-    path = graph.save(tmp_path / "m.onnx")
-    wanted = {"family": "dpt", "value_range": "0..255", "output": "pred_depth", "answers": "depth"}
-    found = [
+    return graph.save(path)
+
+
+def recognized(path: Path) -> list[dict[str, object]]:
+    """The settings that are suggested for a file, without its name."""
+    return [
         {key: value for key, value in settings.items() if key not in ("model", "sha256")}
         for settings in OnnxMono.settings_for(OnnxModel(path))
     ]
-    assert wanted in found
-    answer = mono(path, **wanted).inverse_depth(torch.full((30, 40, 3), 0.8))
-    assert torch.allclose(answer, torch.tensor(1 / 205))
+
+
+def of_camera(image: Tensor, fx: float, fy: float) -> TrainingView:
+    height, width = image.shape[:2]
+    return TrainingView(
+        "one", Camera(torch.eye(4), fx, fy, width / 2, height / 2, width, height), image
+    )
+
+
+def test_depth_of_metric3d_is_metric_with_the_focal_length(tmp_path: Path) -> None:
+    """Canonical depth is that of a focal length of 1000 pixels in the network's image."""
+    path = metric3d(tmp_path / "m.onnx")
+    assert recognized(path) == [{"family": "metric3d_v2"}]
+    prior, image = mono(path, family="metric3d_v2"), torch.full((154, 154, 3), 0.8)
+    found = prior.depth(image)
+    assert (found.inverse, found.ambiguity, found.valid) == (False, "scale", None)
+    assert torch.allclose(found.values, torch.tensor(205.0))
+    seen = prior.depth_of(of_camera(image, 90.0, 110.0))  # enlarged 4 times, to 616 rows
+    assert seen.ambiguity == "metric"
+    assert torch.allclose(seen.values, torch.tensor(205.0 * 4 * 100 / 1000))
+    own = prior.depth_of(of_camera(image, 45.0, 55.0))
+    assert torch.allclose(own.values, torch.tensor(205.0 * 4 * 50 / 1000))
+
+
+def test_an_image_of_other_proportions_has_a_border_of_the_mean_colour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Tensor] = []
+    run = OnnxModel.run
+
+    def watched(self: OnnxModel, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
+        given.extend(inputs.values())
+        return run(self, inputs)
+
+    monkeypatch.setattr(OnnxModel, "run", watched)
+    rows = torch.linspace(0.2, 0.8, 154)[:, None, None].expand(154, 154, 3)
+    found = mono(metric3d(tmp_path / "m.onnx"), family="metric3d_v2").depth(rows)
+    assert torch.allclose(given[0][0, :, 0, 0], torch.tensor([123.675, 116.28, 103.53]), atol=1e-3)
+    assert torch.allclose(
+        given[0][0, :, 300, 223], torch.tensor([123.675, 116.28, 103.53]), atol=1e-3
+    )
+    assert (given[0][0, 0, :, 224:840].std(dim=1) < 1e-3).all()
+    assert (found.values - 255 * rows[..., 0] - 1).abs().max() < 1
+
+
+def test_points_of_unidepth_have_intrinsics_and_metres(tmp_path: Path) -> None:
+    graph, shape = graphs.Graph(), ("batch", 3, 462, 630)
+    given = graph.input("rgbs", shape)
+    scaled = graph("Mul", given, graph.constant([[[[1.0]], [[1.0]], [[0.229]]]]))
+    graph.output("pts_3d", graph("Add", scaled, graph.constant(2.0)), shape)
+    graph.output("confidence", graph.slice(given, 1, 0, 1), ("batch", 1, *shape[2:]))
+    lens = [[500.0, 0, 315], [0, 500, 231], [0, 0, 1]]
+    graph.output("intrinsics", graph.constant([lens]), (1, 3, 3))
+    path = graph.save(tmp_path / "m.onnx")
+    assert recognized(path) == [{"family": "unidepth_v2"}]
+    image = torch.full((231, 231, 3), 0.8)
+    found = mono(path, family="unidepth_v2").depth(image)
+    assert (found.inverse, found.ambiguity) == (False, "metric")
+    assert torch.allclose(found.values, torch.tensor(2 + 0.229 * (0.8 - 0.406) / 0.225), atol=1e-4)
+    assert found.intrinsics is not None
+    assert found.intrinsics.flatten().tolist() == [250, 0, 115.5, 0, 250, 115.5, 0, 0, 1]
+
+
+def test_the_export_script_of_unidepth_has_other_names(tmp_path: Path) -> None:
+    graph, shape = graphs.Graph(), (1, 3, 28, 42)
+    red = graph.slice(graph.input("image", shape), 1, 0, 1)
+    graph.output("out_K", graph.constant([torch.eye(3).tolist()]), (1, 3, 3))
+    for name in ("depth", "depth_ssi", "confidence"):
+        graph.output(name, graph("Exp", red) if name == "depth" else red, (1, 1, 28, 42))
+    path = graph.save(tmp_path / "m.onnx")
+    assert recognized(path) == [{"family": "unidepth_v2"}]
+    found = mono(path, family="unidepth_v2").depth(torch.full((28, 42, 3), 0.485))
+    assert torch.allclose(found.values, torch.tensor(1.0), atol=1e-4)
+    assert found.ambiguity == "metric"
+
+
+@pytest.mark.parametrize("views", [(), (1,), ("V",)])
+def test_depth_anything_3_with_one_view(tmp_path: Path, views: tuple[int | str, ...]) -> None:
+    """Its sky is invalid; a graph of several views has cameras, and is for `onnx_posed` too."""
+    graph, shape = graphs.Graph(), (1, *views, 3, "H", "W")
+    image = graph.input("image", shape)
+    red = graph.slice(image, len(views) + 1, 0, 1)
+    graph.output("depth", graph("Exp", red), (1, *views, 1, "H", "W"))
+    dark = graph("Cast", graph("Less", red, graph.constant(0.0)), to=graphs.FLOAT)
+    if views == ("V",):
+        graph.output(
+            "extrinsics", graph.constant(torch.eye(4)[None, None].tolist()), (1, "V", 4, 4)
+        )
+    else:
+        graph.output("sky", dark, (1, *views, 1, "H", "W"))
+    path = graph.save(tmp_path / "m.onnx")
+    assert recognized(path) == [{"family": "depth_anything_3"}] * (views != ("V",))
+    picture = torch.full((378, 504, 3), 0.485)
+    picture[:100] = 0.2
+    prior = mono(path, family="depth_anything_3")
+    found = prior.depth(picture)
+    assert (found.inverse, found.ambiguity) == (False, "scale")
+    assert torch.allclose(found.values[100:], torch.tensor(1.0), atol=1e-4)
+    if views != ("V",):
+        assert found.valid is not None
+        assert found.valid.sum() == 278 * 504
+    metric = mono(path, family="depth_anything_3", canonical_focal=300.0)
+    seen = metric.depth_of(of_camera(picture, 600.0, 600.0))
+    assert seen.ambiguity == "metric"
+    assert torch.allclose(seen.values[100:], torch.tensor(2.0), atol=1e-4)
 
 
 def test_resizing_is_bicubic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,13 +252,18 @@ def test_settings_override_short_side_multiple_and_value_range(
 
 
 def test_a_graph_can_return_depth(tmp_path: Path) -> None:
-    """Depths of 0 and below become a thousandth of the median, and the largest inverse depth."""
+    """Depths below a thousandth of the median are invalid, and have the smallest inverse depth."""
     path = graphs.mono(tmp_path / "m.onnx", shape=(1, 3, 32, 32), offset=-0.25)
     image = torch.full((32, 32, 3), 0.75)
-    image[:4], image[4:8] = 0.25, 0.0
-    answer = mono(path, answers="depth", value_range="0..1").inverse_depth(image)
-    assert torch.allclose(answer[8:], torch.tensor(2.0))
-    assert torch.allclose(answer[:8], torch.tensor(2000.0))
+    image[:4], image[4:8], image[8:12] = 0.2501, 0.0, 0.5
+    found = mono(path, answers="depth", value_range="0..1").depth(image)
+    assert found.ambiguity == "scale"
+    assert torch.allclose(found.nearness[12:], torch.tensor(2.0))
+    assert torch.allclose(found.nearness[8:12], torch.tensor(4.0))
+    assert torch.allclose(found.nearness[:8], torch.tensor(2.0))
+    assert found.valid is not None
+    assert found.valid[8:].all()
+    assert not found.valid[:8].any()
     with pytest.raises(PluginError, match="returned no depth above 0"):
         mono(path, answers="depth", value_range="0..1").inverse_depth(0 * image)
 

@@ -19,6 +19,7 @@ NAMES = (
     "onnx_mono",
     "onnx_moge",
     "onnx_posed",
+    "onnx_gaussians",
     "onnx_matching",
     "onnx_flow",
     "torch_module",

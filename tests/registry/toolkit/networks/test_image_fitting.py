@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from registry.toolkit.networks.image_fitting import Fit, in_range, padded, stretched
+from registry.toolkit.networks.image_fitting import (
+    Fit,
+    Padding,
+    contained,
+    in_range,
+    padded,
+    stretched,
+)
 
 
 @pytest.mark.parametrize(
@@ -93,3 +100,27 @@ def test_points_are_converted_back_to_the_image() -> None:
     points = torch.tensor([[0.0, 15.0], [96.0, 48.0], [48.0, 31.5], [0.0, 0.0]])
     expected = torch.tensor([[0.0, 0.0], [288.0, 100.0], [144.0, 50.0], [0.0, -15 * 100 / 33]])
     assert torch.allclose(fit.undo_points(points), expected)
+
+
+def test_an_image_is_enlarged_to_fit() -> None:
+    assert contained((30, 40), (80, 80)) == Fit((30, 40), (60, 80), (80, 80))
+    assert contained((400, 300), (80, 80)) == Fit((400, 300), (80, 60), (80, 80))
+
+
+@pytest.mark.parametrize(
+    ("padding", "border"),
+    [("black", (0, 0, 0)), ("white", (1, 1, 1)), ("mean", (0.485, 0.456, 0.406))],
+)
+def test_the_border_has_a_colour(padding: Padding, border: tuple[float, ...]) -> None:
+    image = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0))
+    wide = Fit((4, 4), (4, 4), (4, 8)).apply(image, padding=padding)
+    assert torch.allclose(wide[..., 2:6], image)
+    for column in (0, 1, 6, 7):
+        assert torch.allclose(wide[0, :, :, column], torch.tensor(border)[:, None].float())
+
+
+def test_intrinsics_return_to_the_image() -> None:
+    fit = Fit((30, 40), (60, 80), (80, 80))
+    lens = torch.tensor([[100.0, 0, 40], [0, 100, 42], [0, 0, 1]])
+    expected = [50, 0, 20, 0, 50, 16, 0, 0, 1]
+    assert fit.undo_intrinsics(lens).flatten().tolist() == expected

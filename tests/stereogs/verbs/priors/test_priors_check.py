@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from registry import PluginError, Scene, TrainingView
+from registry import PluginError, PointCloud, Scene, TrainingView
 from registry.priors import DepthMap, Matches
 from registry.toolkit.networks import OnnxModel
 from stereogs.verbs.priors import prior_trials
@@ -190,6 +190,20 @@ def test_cameras_and_depth_are_measured_together(
     assert ("use: onnx_posed" in said) is not bool(fault)
     (wrong,) = re.findall(r"onnx_posed: error (\d\.\d+)", said)
     assert (float(wrong) < 0.1) == (pinned in (0, 3))
+
+
+def test_gaussians_are_measured_by_the_surface_of_the_first_view(small_row: Scene) -> None:
+    truth = truth_of(small_row.train, small_row.bounds)
+    camera = small_row.train[0].camera
+    u, v = (x.ravel()[::7] for x in camera.pixel_centers())
+    points = camera.unproject(u, v, depth_of(small_row.train[0]).double().ravel()[::7])
+    faint = torch.where(torch.arange(len(points)) % 2 == 0, 0.9, 0.1)
+    for scale, error in ((1.0, 0.0), (1.1, 1.0)):
+        moved = camera.center + scale * (points - camera.center)
+        cloud = PointCloud(moved.float(), torch.ones(len(points), 3), opacities=faint)
+        found = prior_score(known.gaussians(cloud), truth)
+        assert found.error == pytest.approx(error, abs=1e-3)
+        assert f"in {(1 - error) / 14:.1%} of all" in found.text
 
 
 @pytest.mark.usefixtures("_small")

@@ -60,11 +60,30 @@ def change(page: Connection, control: str, value: object) -> None:
     page.send(msgspec.msgpack.encode(update))
 
 
+def drag(
+    page: Connection, low: tuple[float, float], high: tuple[float, float], modifier: str
+) -> None:
+    """Drag a rectangle, from 0 to 1 in the image, with a key held."""
+    _point(page, {"event_type": "rect-select", "screen_pos": (low, high), "modifier": modifier})
+
+
+def click(page: Connection, place: tuple[float, float], modifier: str) -> None:
+    """Click at a place, from 0 to 1 in the image, with a key held."""
+    ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
+    _point(page, {"event_type": "click", "screen_pos": (place,), "modifier": modifier, **ray})
+
+
+def _point(page: Connection, event: dict[str, Any]) -> None:
+    message = {"type": "ScenePointerMessage", "ray_origin": None, "ray_direction": None, **event}
+    page.send(msgspec.msgpack.encode(message))
+
+
 class Received:
     """What the server has sent so far.
 
     Attributes:
         controls: viser's identifier of each control, by its label.
+        texts: the last text of each piece of Markdown, by viser's identifier.
         nodes: names of what the browser draws itself.
         picture: the last one received, `[H, W, 3]`; None if the server removed it.
         position: where the server last placed the camera, in the page's units; None if it did not.
@@ -73,6 +92,7 @@ class Received:
     def __init__(self, page: Connection) -> None:
         self._page = page
         self.controls: dict[str, str] = {}
+        self.texts: dict[str, str] = {}
         self.nodes: set[str] = set()
         self.picture: NDArray[np.uint8] | None = None
         self.position: tuple[float, ...] | None = None
@@ -91,7 +111,9 @@ class Received:
                 self._take(message)
 
     def _take(self, message: dict[str, Any]) -> None:
-        kind, props = message["type"], message.get("props") or {}
+        kind, props = message["type"], message.get("props") or message.get("updates") or {}
+        if "_markdown" in props:
+            self.texts[message["uuid"]] = props["_markdown"]
         if kind == "BackgroundImageMessage":
             data = message["rgb_data"]
             self.picture = None if data is None else np.asarray(Image.open(io.BytesIO(data)))

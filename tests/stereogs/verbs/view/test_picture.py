@@ -17,12 +17,18 @@ def test_hidden_kinds_and_the_crop_box_combine(device: Device) -> None:
     gaussians = Gaussians.from_points(positions, torch.full((4, 3), 0.5), ones, ones, 0)
     kinds = {"guessed": torch.tensor([False, True, False, False])}
     subject = Subject("x", GaussianModel(gaussians, device), kinds=kinds)
-    assert visible(subject, Look()) is None
+    none = torch.zeros(4, dtype=torch.bool)
+    assert visible(subject, Look(), none) is None
     box = Box((-1.0, -1.0, 0.0), (1.0, 1.0, 2.5))
-    assert visible(subject, Look(box=box)).tolist() == [True, True, False, False]  # type: ignore[union-attr]
-    both = visible(subject, Look(hidden=("guessed",), box=box))
+    inside = visible(subject, Look(box=box), none)
+    assert inside is not None
+    assert inside.tolist() == [True, True, False, False]
+    both = visible(subject, Look(hidden=("guessed",), box=box), none)
     assert both is not None
     assert both.tolist() == [True, False, False, False]
+    rest = visible(subject, Look(box=box), torch.tensor([True, False, False, False]))
+    assert rest is not None
+    assert rest.tolist() == [False, True, False, False]
 
 
 def test_sizes_keep_the_aspect_ratio_and_fit_the_time() -> None:

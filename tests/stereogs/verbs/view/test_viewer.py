@@ -6,7 +6,10 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -18,13 +21,14 @@ pytest.importorskip("viser")
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
-from core_rasterizer import Camera, Device, GaussianModel, Gaussians
+from core_rasterizer import Camera, Device, GaussianModel, Gaussians, load_ply
 from registry import RunError
 from registry.testing import tiny_scene
+from stereogs.verbs.view.edits import Source
 from stereogs.verbs.view.guard import Guard
 from stereogs.verbs.view.subject import Subject, start_pose, viewpoints_of
 from stereogs.verbs.view.viewer import Viewer
-from tests.stereogs.verbs.view.browser import WINDOW, Received, change, move, visit
+from tests.stereogs.verbs.view.browser import WINDOW, Received, change, click, drag, move, visit
 
 SCENE = tiny_scene()
 
@@ -50,20 +54,23 @@ def subject(device: Device) -> Subject:
     return Subject("walls", GaussianModel(gaussians, device), viewpoints_of(SCENE), kinds=kinds)
 
 
-@pytest.fixture
-def viewer(subject: Subject) -> Iterator[Viewer]:
+def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    viewer = Viewer(subject, port)
-    yield viewer
-    viewer.close()
+        port: int = free.getsockname()[1]
+        return port
+
+
+@pytest.fixture
+def viewer(subject: Subject) -> Iterator[Viewer]:
+    with closing(Viewer(subject, free_port())) as viewer:
+        yield viewer
 
 
 def serve_until(viewer: Viewer, received: Received, true: Callable[[], bool]) -> None:
     end = time.monotonic() + 30
     while not true():
-        assert time.monotonic() < end, "nothing came"
+        assert time.monotonic() < end, f"nothing came; texts: {received.texts}"
         viewer.serve(0.05)
         received.read()
 
@@ -72,6 +79,18 @@ def green(picture: np.ndarray | None) -> float:
     """The mean green of the right half."""
     assert picture is not None
     return float(picture[:, picture.shape[1] // 2 :, 1].mean())
+
+
+def red(picture: np.ndarray | None) -> float:
+    """The mean red of the right half."""
+    assert picture is not None
+    return float(picture[:, picture.shape[1] // 2 :, 0].mean())
+
+
+def selected(received: Received) -> int:
+    """The number of selected Gaussians that the panel shows."""
+    (text,) = (text for text in received.texts.values() if " selected, " in text)
+    return int(text.split(" selected")[0].replace(",", ""))
 
 
 def is_grey(picture: np.ndarray | None) -> bool:
@@ -115,6 +134,65 @@ def test_the_browser_shows_the_scene_and_follows_the_controls(
         serve_until(viewer, received, lambda: "/crop_box" in received.nodes)
         change(page, received.controls["Show only the inside"], False)
         serve_until(viewer, received, lambda: "/crop_box" not in received.nodes)
+
+
+def test_gaussians_are_selected_deleted_and_saved(subject: Subject, tmp_path: Path) -> None:
+    gaussians, near = subject.model.gaussians(), subject.kinds["near"]
+    source = Source(tmp_path / "scene.ply", lambda: gaussians, {})
+    editable = replace(subject, source=source)
+    with closing(Viewer(editable, free_port())) as viewer, visit(viewer.url) as page:
+        received = Received(page)
+
+        def done(says: str) -> None:
+            serve_until(
+                viewer, received, lambda: any(says in text for text in received.texts.values())
+            )
+
+        def press(label: str, says: str) -> None:
+            change(page, received.controls[label], True)
+            done(says)
+
+        move(page, (0.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        assert green(received.picture) > 100
+        drag(page, (0.5, -0.1), (1.0, 1.1), "shift")
+        visible = int((~near).sum())
+        done(f"{visible} selected, 0 deleted")
+        serve_until(viewer, received, lambda: red(received.picture) > 100)  # shown as selected
+        drag(page, (0.5, -0.1), (1.0, 0.5), "cmd/ctrl+shift")
+        done(f"{visible // 2} selected, 0 deleted")
+        press("Undo", f"{visible} selected, 0 deleted")
+        press("Delete", f"0 selected, {visible} deleted")
+        serve_until(viewer, received, lambda: green(received.picture) < 20)
+        click(page, (0.75, 0.5), "shift")
+        done("There is no surface.")
+        change(page, received.controls["Ball, % of distance"], 15.0)
+        click(page, (0.25, 0.5), "shift")
+        serve_until(viewer, received, lambda: selected(received) in range(1, 20))
+        press("Select none", f"0 selected, {visible} deleted")
+        change(page, received.controls["near"], False)
+        drag(page, (0.0, 0.0), (1.0, 1.0), "shift")
+        change(page, received.controls["Select all shown"], True)
+        press("Save as PLY", "scene-edited.ply")
+        assert selected(received) == 0  # hidden ones are not selected
+        change(page, received.controls["near"], True)
+        kept = load_ply(tmp_path / "scene-edited.ply")
+        assert kept.means.equal(gaussians.means[near])
+        press("Invert", f"{int(near.sum())} selected")
+        press("Delete", "0 selected, 288 deleted")
+        press("Save as PLY", "press Undo")
+
+
+def test_gaussians_in_training_are_not_edited(viewer: Viewer, subject: Subject) -> None:
+    with visit(viewer.url) as page:
+        received = Received(page)
+        move(page, (0.0, 0.0, 0.0))
+        serve_until(viewer, received, lambda: received.picture is not None)
+        drag(page, (0.0, 0.0), (1.0, 1.0), "shift")
+        for _ in range(5):
+            viewer.serve(0.05)
+            received.read()
+        assert selected(received) == 0
 
 
 def test_a_camera_stays_near_the_photographs_until_it_may_leave(

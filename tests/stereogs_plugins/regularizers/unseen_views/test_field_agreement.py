@@ -17,7 +17,7 @@ from stereogs_plugins.regularizers.unseen_views import (
     ForwardWarping,
     stereogs_register_regularizers,
 )
-from tests.host import Bench
+from tests.host import Bench, TrainingSettings, pipeline_item, pipeline_of, refuse_unmet_needs
 from tests.stereogs_plugins.building import build, offered
 
 
@@ -75,8 +75,6 @@ def test_it_compares_the_two_renders_of_one_camera_before_one_background() -> No
 
 
 def test_a_single_field_is_refused() -> None:
-    step, _ = bench_step()
-    rendering = step.rendering
-    step.rendered(lambda: rendering, ())
-    with pytest.raises(PluginError, match="two fields"):
-        build(FieldAgreement).loss(step)
+    term = pipeline_item(FieldAgreement, FieldAgreement.Settings(), "agreement")
+    with pytest.raises(PluginError, match="training has a single field"):
+        refuse_unmet_needs(pipeline_of([term], TrainingSettings()))
