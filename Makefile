@@ -23,8 +23,11 @@ help: ## list the targets
 demo: $(VENV)/.runtime ## three photographs to a scored scene, in minutes
 	$(BIN)/stereogs demo
 
+# COVERAGE=1 also prints the share of lines and branches that this process and its workers run, by package.
 test: $(VENV)/.dev ## the test suite
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal $(if $(COVERAGE),--cov --cov-report=)
+	$(if $(COVERAGE),@for package in core_rasterizer registry stereogs stereogs_plugins; do \
+		echo "coverage of $$package: $$($(BIN)/coverage report --include="$$package/*" --format=total) %"; done)
 
 proofs: $(VENV)/.dev ## the tests that take longest: real photographs and networks, killed runs, all methods
 	$(BIN)/python -m pytest -m proof --numprocesses 2 --dist worksteal --timeout 1800

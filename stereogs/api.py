@@ -91,6 +91,7 @@ if TYPE_CHECKING:
         Disparity as Disparity,
         Flow as Flow,
         GaussiansPrior as GaussiansPrior,
+        MaskPrior as MaskPrior,
         Matches as Matches,
         MatchingPrior as MatchingPrior,
         MonocularDepth as MonocularDepth,

@@ -173,7 +173,7 @@ class TrainingView:
         alpha: `[H, W]` float32 in [0, 1], the share of each pixel that the photographed object covers;
             None if the photograph has no alpha.
         weights: `[H, W]` float32 in [0, 1], how much each pixel counts in training; None where all count
-            fully.
+            fully. One number below 1 everywhere is the weight of a whole view, for example a generated one.
     """
 
     name: str

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         StereoPrior as StereoPrior,
     )
     from .gaussians import GaussiansPrior as GaussiansPrior
+    from .masks import MaskPrior as MaskPrior
     from .monocular_depth import (
         MonocularDepth as MonocularDepth,
         MonocularDepthPrior as MonocularDepthPrior,

@@ -22,6 +22,7 @@ from ..pipeline.pipeline import Pipeline
 from ..toolkit.progress.display import showing
 from ..toolkit.progress.stages import STAGES, progress
 from ..training.initial_model import initial_gaussians
+from ..training.prior_masks import with_prior_masks
 from ..training.scene_facts import summary, warnings
 from .options import RunOptions, find_device
 
@@ -130,7 +131,7 @@ def prepare(loaded: Loaded, options: RunOptions) -> Prepared:
     ]
     for warning in [*warnings(scene), *fallbacks, *faults(pipeline)]:
         console.print(f"warning: {warning}")
-    framed = scene.in_frame()
+    framed = with_prior_masks(scene.in_frame(), parts)
     initializer, known = parts.one("initializer"), framed.for_training()
     progress("depth" if initializer.component.needs_priors else "points")
     points = initializer.call(known, parts.priors, checks=initialization(), guard=of_scene(known))

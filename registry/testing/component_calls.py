@@ -31,6 +31,7 @@ from ..events import IterationDone, RunEnded, RunStarted, ViewsScored
 from ..pipeline.training_settings import TrainingSettings
 from ..priors import (
     GaussiansPrior,
+    MaskPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -78,6 +79,7 @@ def _prior(bench: Bench, built: Any) -> Any:
         (MonocularDepthPrior, "depth", images[:1]),
         (MonocularDepthPrior, "depth_of", [views[0], bench.scene.points]),
         (NormalPrior, "normals_of", views[:1]),
+        (MaskPrior, "mask_of", views[:1]),
         (OpticalFlowPrior, "flow", images),
         (MatchingPrior, "matches", images),
         (GaussiansPrior, "gaussians", [views, bench.scene.bounds]),

@@ -10,6 +10,7 @@ from ..contract.scene import PointCloud, Scene
 from ..pipeline.parts import Parts
 from .checkpoint import Checkpoint
 from .initial_model import initial_gaussians, new_model
+from .prior_masks import with_prior_masks
 from .trainer import Trainer
 
 
@@ -59,5 +60,5 @@ def restore(
     settings = parts.pipeline.training
     if model is None:
         model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
-    framed = scene.in_frame(checkpoint.frame)
+    framed = with_prior_masks(scene.in_frame(checkpoint.frame), parts)
     return Trainer(settings, parts, framed, model, checkpoint=checkpoint)

@@ -113,7 +113,9 @@ class Field:
         self._access = Access()
         self._step_reader = StepReader(model, self._access)
         asking = [part for part in parts.training if part.item.host.weight > 0 and part.declared]
-        self._collecting = [part for part in asking if part.declared & COLLECTED]
+        # The host itself ranks the Gaussians that `max_gaussians` drops.
+        ranked = () if settings.max_gaussians is None else parts["densification"]
+        self._collecting = [*(part for part in asking if part.declared & COLLECTED), *ranked]
         self._served = [part for part in asking if part.declared & OUTPUTS.keys()]
         name = f"topology/{index}" if index else "topology"
         self._topology = torch.Generator().manual_seed(derived_seed(settings.seed, name))
@@ -168,7 +170,8 @@ class Field:
         for part in self._regularizers("alone"):
             zero_gradients(self.model, self.parameters)
             step.rendered(cache(lambda: step.render(step.sample.camera)))
-            self._serve([part])
+            if part in self._served:
+                self._serve([part])
             with part.at_work(step.iteration, self.guard):
                 moves = check_moves(part.component.moves, PARAMETER_GROUPS)
             term = self._term(part)
@@ -197,20 +200,15 @@ class Field:
             sh_degree=sample.sh_degree,
             opacity_scale=scale,
             smoothing=sample.smoothing,
-            collect_statistics=bool(collecting) or self._ranks(step.iteration),
+            collect_statistics=bool(collecting),
             collect_absolute=any("absolute_screen_gradient" in p.declared for p in collecting),
         )
         self._changed_images = self._rendering.watch()
         self.guard += of_rendering(self._rendering) + of_sample(sample)
         step.rendered(lambda: self._rendering)
-        due = [part for part in self._served if part.item.host.due(step.iteration)]
-        self._serve([part for part in due if part.item.host.step == "together"])
-
-    def _ranks(self, iteration: int) -> bool:
-        """Whether the host needs screen gradients itself, to choose which Gaussians `max_gaussians` drops."""
-        return self._settings.max_gaussians is not None and not all(
-            part.item.schedule.over(iteration) for part in self.parts["densification"]
-        )
+        if self._served:
+            due = [part for part in self._served if part.item.host.due(step.iteration)]
+            self._serve([part for part in due if part.item.host.step == "together"])
 
     def _serve(self, parts: Sequence[Part]) -> None:
         """Make the outputs that components declare, once for all, and guard them."""

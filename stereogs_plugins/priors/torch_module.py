@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -76,6 +76,18 @@ class TorchModule(MultiViewDepthPrior[TorchModuleSettings]):
                 where=str(self._path),
                 fix="save a module whose `forward` takes `images` and any others of these",
             )
+
+    @classmethod
+    def settings_for_script(cls, path: Path) -> Sequence[Mapping[str, Any]]:
+        """Each range of pixel values, if the module's parameters are known."""
+        file = read_model_file(path, None)
+        _, types = _loaded(file.content, path)
+        if "images" not in types or not set(types) <= set(ARGUMENTS):
+            return []
+        naming = {"model": str(path), "sha256": file.sha256}
+        return [
+            {**naming, "value_range": values} for values in ("0..1", "imagenet", "-1..1", "0..255")
+        ]
 
     def fingerprint(self) -> str:
         """Hash of the file, and version of torch."""

@@ -22,55 +22,72 @@ COMPONENTS: Mapping[str, HookPoint] = {
 """Kinds of component: the sections of a pipeline, in the singular."""
 COMMAND = "command"
 KINDS = (*COMPONENTS, COMMAND)
+PRIOR = "prior"
+OWN = "own"
+CAPABILITIES = (
+    *("stereo_disparity", "monocular_depth", "multi_view_depth", "posed_depth", "normals"),
+    *("gaussians", OWN),
+)
+"""What a prior estimates, the usual one first; `own` is a capability that only its package knows."""
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]*")
 _TEMPLATES = resources.files("stereogs.verbs.new_plugin").joinpath("templates")
 
 
-def new_plugin(name: str, kind: str, parent: Path) -> Path:
+def new_plugin(name: str, kind: str, parent: Path, capability: str | None = None) -> Path:
     """Write the package `stereogs-NAME`: plugin, entry point, test, README, and a component's pipeline.
 
     Args:
         name: name of the component in pipelines, or of the command.
         kind: one of `KINDS`.
         parent: folder in which the package's folder is created; created if missing.
+        capability: of a prior, one of `CAPABILITIES`; None: the first one.
 
     Returns:
         The package's folder.
 
     Raises:
-        PluginError: the name or kind is invalid, an installed plugin offers the name, or the folder
-            exists and is not empty.
+        PluginError: the name, kind or capability is invalid, an installed plugin offers the name, or the
+            folder exists and is not empty.
     """
-    _check(name, kind)
-    words = _words(name, kind)
+    _check(name, kind, capability)
+    template = f"{PRIOR}_{capability or CAPABILITIES[0]}" if kind == PRIOR else kind
+    call = ", call=lambda prior, scene: prior.sharpness(scene.train[0].image)"
+    words = {**_words(name, kind), "call": call if capability == OWN else ""}
     folder = parent / words["distribution"]
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         what, fix = "folder exists and is not empty", "choose another name, or --into"
         raise PluginError(what, where=str(folder), fix=fix)
     with new_folder(folder) as temporary:
-        for file, text in _files(kind, words):
+        for file, text in _files(template, words):
             (temporary / file).write_text(text, "utf-8")
     return folder
 
 
-def _files(kind: str, words: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    body = _filled(f"kinds/{kind}.py", words).rstrip("\n")
-    suffix = "_command" if kind == COMMAND else ""
+def _files(template: str, words: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    body = _filled(f"kinds/{template}.py", words).rstrip("\n")
+    suffix = "_command" if template == COMMAND else ""
     yield "pyproject.toml", _filled("package/pyproject.toml", words)
     yield f"{words['module']}.py", _filled("package/plugin.py", {**words, "body": body})
     yield "README.md", _filled(f"package/README{suffix}.md", words)
     yield f"test_{words['module']}.py", _filled(f"package/test{suffix}.py", words)
-    if kind != COMMAND:
-        yield "pipeline.yaml", _pipeline(kind, words)
+    if template != COMMAND:
+        yield "pipeline.yaml", _pipeline(template, words)
 
 
-def _check(name: str, kind: str) -> None:
+def _check(name: str, kind: str, capability: str | None) -> None:
     if kind not in KINDS:
         raise PluginError(
             f"unknown kind of plugin {kind!r}{did_you_mean(kind, KINDS)}",
             where="--kind",
             fix=f"kinds: {listing(KINDS)}",
+        )
+    if capability is not None and (kind != PRIOR or capability not in CAPABILITIES):
+        what = f"unknown capability {capability!r}{did_you_mean(capability, CAPABILITIES)}"
+        raise PluginError(
+            what if kind == PRIOR else f"a {kind} has no capability",
+            where="--capability",
+            fix=f"use --kind {PRIOR}; capabilities: {listing(CAPABILITIES)}",
         )
     if not _NAME.fullmatch(name):
         raise PluginError(
@@ -113,9 +130,9 @@ def _words(name: str, kind: str) -> dict[str, str]:
     }
 
 
-def _pipeline(kind: str, words: Mapping[str, str]) -> str:
-    """Return the pipeline of all packages, with the sections of this kind replaced."""
-    own = _filled(f"kinds/{kind}.yaml", words).splitlines()
+def _pipeline(template: str, words: Mapping[str, str]) -> str:
+    """Return the pipeline of all packages, with the sections of this template replaced."""
+    own = _filled(f"kinds/{template}.yaml", words).splitlines()
     keys = {line.partition(":")[0] for line in own if line[:1].isalpha()}
     usual = _filled("package/pipeline.yaml", words).splitlines()
     return "\n".join([*(x for x in usual if x.partition(":")[0] not in keys), *own, ""])

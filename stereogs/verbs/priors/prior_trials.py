@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import torch
@@ -63,6 +64,15 @@ class RunsOnnxFiles(Protocol):
         """
 
 
+@runtime_checkable
+class RunsTorchScript(Protocol):
+    """The same for files of TorchScript, of which only the path is known."""
+
+    @classmethod
+    def settings_for_script(cls, path: Path) -> Sequence[Mapping[str, Any]]:
+        """Return candidate settings for a file, the likeliest first; none if the prior cannot run it."""
+
+
 @dataclass(frozen=True)
 class Guess:
     """A prior with settings to try, as plain values."""
@@ -86,10 +96,11 @@ class Trial:
     seconds: float
 
 
-def guesses(model: OnnxModel, plugins: Plugins, changes: Sequence[str] = ()) -> list[Guess]:
+def guesses(model: OnnxModel | Path, plugins: Plugins, changes: Sequence[str] = ()) -> list[Guess]:
     """Return the suggestions of the installed priors, sorted by name.
 
     Args:
+        model: the model, or the path of a TorchScript file.
         changes: `key=value` texts that replace suggested settings.
 
     Raises:
@@ -99,17 +110,25 @@ def guesses(model: OnnxModel, plugins: Plugins, changes: Sequence[str] = ()) -> 
     found = [
         Guess(offer, _changed(offer, dict(settings), changes))
         for offer in plugins.all()
-        if offer.point is _PRIORS and issubclass(offer.component, RunsOnnxFiles)
-        for settings in offer.component.settings_for(model)
+        if offer.point is _PRIORS
+        for settings in _suggested(offer.component, model)
     ]
     if not found:
         raise PluginError(
             "no installed prior supports a file with these inputs and outputs",
-            where=str(model.path),
+            where=str(model if isinstance(model, Path) else model.path),
             fix="docs/prior_models.md lists the supported inputs and outputs; other files need a plugin "
             "whose `settings_for` recognizes them",
         )
     return [guess for index, guess in enumerate(found) if guess not in found[:index]]
+
+
+def _suggested(component: type, model: OnnxModel | Path) -> Sequence[Mapping[str, Any]]:
+    if isinstance(model, Path):
+        if issubclass(component, RunsTorchScript):
+            return component.settings_for_script(model)
+        return []
+    return component.settings_for(model) if issubclass(component, RunsOnnxFiles) else []
 
 
 def known_truth(plugins: Plugins, device: Device) -> Truth:

@@ -1,4 +1,4 @@
-"""Test the network in an ONNX file on a scene with known depth."""
+"""Test the network in an ONNX or TorchScript file on a scene with known depth."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from .prior_trials import Guess, Trial, Truth
 
 FAULT = 1
+SCRIPTS = (".pt", ".ts")
+"""Suffixes of TorchScript files; others are ONNX."""
 LONGEST = 120.0
 """Seconds for each answer on the small scene: an endless loop ends then."""
 
@@ -31,6 +33,7 @@ examples:
   stereogs priors check stereo.onnx
   stereogs priors check depth.onnx --set size=[512,384]  a known setting
   stereogs priors check xfeat.onnx --set matcher=lighterglue.onnx
+  stereogs priors check patchmatchnet.pt                 runs its code: only files that you trust
 
 Prints the file's inputs and outputs, tries the settings that each installed prior suggests for the file
 on a rendered room with known depth, and prints errors, seconds and the YAML of the best settings. A file
@@ -54,7 +57,9 @@ class Priors(Command):
             epilog=_EPILOG,
             formatter_class=parser.formatter_class,
         )
-        check.add_argument("model", type=Path, metavar="MODEL.onnx", help="the file")
+        check.add_argument(
+            "model", type=Path, metavar="MODEL", help="ONNX, or TorchScript (.pt, .ts)"
+        )
         check.add_argument(
             "--set",
             action="append",
@@ -75,8 +80,11 @@ class Priors(Command):
         from .view_counts import fault_of_view_count
 
         output, plugins = console(), Plugins()
-        model = OnnxModel(arguments.model)
-        _print_properties(model, output)
+        if arguments.model.suffix in SCRIPTS:
+            model = arguments.model
+        else:
+            model = OnnxModel(arguments.model)
+            _print_properties(model, output)
         found = guesses(model, plugins, arguments.set)
         device = open_device(arguments.device)
         with _quiet_priors(), answers_within(LONGEST):

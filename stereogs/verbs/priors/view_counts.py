@@ -7,6 +7,7 @@ views is open in the file. The graph then runs with more views and is silently w
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -30,7 +31,10 @@ REMEDY = (
 
 
 def fault_of_view_count(
-    prior: Prior[Any], model: OnnxModel, views: Sequence[TrainingView], bounds: tuple[float, float]
+    prior: Prior[Any],
+    model: OnnxModel | Path,
+    views: Sequence[TrainingView],
+    bounds: tuple[float, float],
 ) -> str:
     """Compare the depth of the first view from two views with that from three.
 
@@ -65,10 +69,12 @@ def fault_of_view_count(
     return ""
 
 
-def _takes_any_number(prior: Prior[Any], model: OnnxModel) -> bool:
+def _takes_any_number(prior: Prior[Any], model: OnnxModel | Path) -> bool:
     if isinstance(prior, PosedDepthPrior):
         least, most = prior.accepted_views
         return least <= 2 and (most is None or most > 2)
+    if isinstance(model, Path):
+        return isinstance(prior, MultiViewDepthPrior)
     # A set of images is [1, V, 3, H, W].
     sizes = [spec.shape[1] for spec in model.inputs if len(spec.shape) == 5]
     return isinstance(prior, MultiViewDepthPrior) and sizes[:1] == [None]

@@ -10,6 +10,7 @@ import pytest
 from registry import HostDefaults, Percent
 from registry.priors import (
     GaussiansPrior,
+    MaskPrior,
     MatchingPrior,
     MonocularDepthPrior,
     MultiViewDepthPrior,
@@ -155,7 +156,7 @@ def test_a_prior_that_is_needed_is_looked_for(shipped: Plugins) -> None:
 def test_what_shipped_components_need_is_a_capability(shipped: Plugins) -> None:
     bases = (
         *(StereoPrior, MultiViewDepthPrior, MonocularDepthPrior),
-        *(OpticalFlowPrior, MatchingPrior, GaussiansPrior, NormalPrior),
+        *(OpticalFlowPrior, MatchingPrior, GaussiansPrior, NormalPrior, MaskPrior),
     )
     known = {prior.capability for prior in bases}
     needed = [

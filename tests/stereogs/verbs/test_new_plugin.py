@@ -14,7 +14,15 @@ import pytest
 
 from registry import PluginError
 from stereogs.testing import check, check_command
-from stereogs.verbs.new_plugin.package_files import COMMAND, COMPONENTS, KINDS, new_plugin
+from stereogs.verbs.new_plugin.package_files import (
+    CAPABILITIES,
+    COMMAND,
+    COMPONENTS,
+    KINDS,
+    OWN,
+    PRIOR,
+    new_plugin,
+)
 from stereogs.verbs.new_plugin.verb import NewPlugin
 from tests.host import (
     SELECTION,
@@ -28,6 +36,9 @@ from tests.host import (
 from tests.packages import ROOT, importable, install, install_by_pip, run_python
 
 NAMES = {kind: f"my_{kind[:5]}-2" for kind in KINDS}
+NAMES |= {capability: f"my_{capability}" for capability in CAPABILITIES}
+POINTS = {**COMPONENTS, **dict.fromkeys(CAPABILITIES, COMPONENTS[PRIOR])}
+"""Of a component of each kind, and of a prior of each capability."""
 
 
 def folder_of(kind: str) -> str:
@@ -39,10 +50,12 @@ thorough = pytest.mark.skipif(os.environ.get("NEW_PLUGINS") != "all", reason="ma
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A package of each kind, as the command writes it."""
+    """A package of each kind, and of a prior of each capability, as the command writes it."""
     folder = tmp_path_factory.mktemp("new")
-    for kind, name in NAMES.items():
-        new_plugin(name, kind, folder)
+    for kind in KINDS:
+        new_plugin(NAMES[kind], kind, folder)
+    for capability in CAPABILITIES:
+        new_plugin(NAMES[capability], PRIOR, folder, capability)
     return folder
 
 
@@ -60,16 +73,21 @@ def installed(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Plugins]:
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("kind", COMPONENTS)
+@pytest.mark.parametrize("kind", POINTS)
 def test_it_installs_and_keeps_the_contract(kind: str, installed: Plugins) -> None:
-    offer = installed.find(COMPONENTS[kind], NAMES[kind])
+    offer = installed.find(POINTS[kind], NAMES[kind])
     assert offer.distribution == folder_of(kind)
     assert metadata.version(offer.distribution) == offer.version
-    check(offer.component)
+    if kind in CAPABILITIES and kind != OWN:
+        assert getattr(offer.component, "capability", None) == kind
+    check(
+        offer.component,
+        call=(lambda prior, scene: prior.sharpness(scene.train[0].image)) if kind == OWN else None,
+    )
 
 
 def test_its_pipeline_uses_it(written: Path, installed: Plugins) -> None:
-    for kind, point in COMPONENTS.items():
+    for kind, point in POINTS.items():
         name = NAMES[kind]
         pipeline = load_pipeline(written / folder_of(kind) / "pipeline.yaml", installed)
         assert name in [item.offer.name for item in pipeline.items[point.section]]
@@ -97,7 +115,8 @@ def test_what_is_written_is_well_formatted(written: Path) -> None:
 
 
 def test_the_help_names_every_kind() -> None:
-    assert all(kind in NewPlugin.epilog.split("examples:")[0] for kind in KINDS)
+    said = NewPlugin.epilog.split("examples:")[0]
+    assert all(name in said for name in (*KINDS, *CAPABILITIES))
 
 
 def test_the_command_writes_beside_what_is_there(
@@ -128,6 +147,18 @@ def test_what_cannot_be_is_refused(name: str, kind: str, message: str, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_capability_is_of_a_prior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, capability, message in (
+        (PRIOR, "normal", "did you mean 'normals'"),
+        ("metric", "normals", "a metric has no capability"),
+    ):
+        with pytest.raises(PluginError, match=message):
+            new_plugin("walls", kind, tmp_path, capability)
+    options = ["--kind", PRIOR, "--capability", "gaussians", "--into", str(tmp_path)]
+    assert main(["new-plugin", "walls", *options]) == 0
+    assert "GaussiansPrior" in (tmp_path / "stereogs-walls" / "stereogs_walls.py").read_text()
+
+
 def test_a_command_of_an_installed_name_is_refused(tmp_path: Path) -> None:
     for name in ("compare", "train"):
         with pytest.raises(
@@ -146,7 +177,7 @@ def test_a_name_that_is_installed_is_refused(
 
 
 @thorough
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NAMES)
 def test_it_passes_its_own_tests_and_trains(kind: str, written: Path, tmp_path: Path) -> None:
     package = written / folder_of(kind)
     site = install_by_pip(package, tmp_path)

@@ -17,7 +17,7 @@ from stereogs.verbs.priors.prior_trials import score as prior_score, truth_of
 from stereogs_plugins.scenes.procedural import ProceduralScene
 from tests.host import SELECTION, Plugins, main, parse_pipeline
 from tests.stereogs_plugins.building import build
-from tests.stereogs_plugins.priors import graphs, known_answers as known, rooms
+from tests.stereogs_plugins.priors import graphs, known_answers as known, modules, rooms
 
 Capture = pytest.CaptureFixture[str]
 
@@ -190,6 +190,19 @@ def test_cameras_and_depth_are_measured_together(
     assert ("use: onnx_posed" in said) is not bool(fault)
     (wrong,) = re.findall(r"onnx_posed: error (\d\.\d+)", said)
     assert (float(wrong) < 0.1) == (pinned in (0, 3))
+
+
+@pytest.mark.usefixtures("_small")
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+def test_a_torchscript_file_is_tried(tmp_path: Path, capsys: Capture) -> None:
+    path = modules.saved(tmp_path / "m.pt", modules.Mean())
+    assert main(["priors", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("torch_module value_range=") == 4
+    assert "use: torch_module" in said
+    other = modules.saved(tmp_path / "other.ts", modules.Other())
+    assert main(["priors", "check", str(other)]) == 2
+    assert "no installed prior supports" in capsys.readouterr().err
 
 
 def test_gaussians_are_measured_by_the_surface_of_the_first_view(small_row: Scene) -> None:
