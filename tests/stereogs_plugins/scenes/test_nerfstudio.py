@@ -325,7 +325,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-@pytest.mark.parametrize("start", ["/home/me/scan/", "C:\\scans\\my scan\\", "D:/"])
+@pytest.mark.parametrize("start", ["/mnt/me/scan/", "C:\\scans\\my scan\\", "D:/"])
 def test_absolute_paths_of_another_machine_are_found_in_the_folder(
     start: str, tmp_path: Path
 ) -> None:
@@ -333,7 +333,7 @@ def test_absolute_paths_of_another_machine_are_found_in_the_folder(
     expected = load(folder)
     edit(folder, lambda c: [f.update(file_path=start + f["file_path"]) for f in c["frames"]])
     assert [view.name for view in load(folder).train] == [view.name for view in expected.train]
-    edit(folder, lambda c: c["frames"][0].update(file_path="/home/other/frame.png"))
+    edit(folder, lambda c: c["frames"][0].update(file_path="/mnt/other/frame.png"))
     with pytest.raises(SceneError, match="does not stay inside"):
         load(folder)
 
