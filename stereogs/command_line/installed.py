@@ -22,6 +22,7 @@ _VERBS = {
     "resume": "verbs.train:Resume",
     "ablate": "experiments.ablate:Ablate",
     "bench": "experiments.bench:Bench",
+    "benchmark": "experiments.benchmark:Benchmark",
     "check": "verbs.check.verb:Check",
     "compare": "experiments.compare:Compare",
     "completion": "verbs.completion:Completion",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from registry import RunError
 
-from ..command_line.arguments import add_accept_changed, add_device
+from ..command_line.arguments import add_accept_changed, add_device, add_scene_folder
 from ..command_line.command import Command
 from ..command_line.output import console
 
@@ -46,6 +46,7 @@ class Replay(Command):
             metavar="FAILURE",
             help="a folder in RUN/failures, or a file in it",
         )
+        add_scene_folder(parser)
         add_accept_changed(parser, "inputs")
         add_device(parser)
 
@@ -58,6 +59,7 @@ class Replay(Command):
             arguments.failure,
             plugins=Plugins(),
             device=open_device(arguments.device),
+            scene=arguments.scene,
             accept_changed_inputs=arguments.accept_changed_inputs,
         )
         console().print(
@@ -71,12 +73,14 @@ def repeat_failure(
     *,
     plugins: Plugins,
     device: Device,
+    scene: Path | None = None,
     accept_changed_inputs: bool = False,
 ) -> Failure:
     """Repeat an iteration that failed.
 
     Args:
         place: a folder in RUN/failures, or a file in it.
+        scene: folder of the scene's data, if it was moved.
         accept_changed_inputs: continue even if photographs, cameras or model files have changed.
 
     Returns:
@@ -87,8 +91,10 @@ def repeat_failure(
     """
     from registry.pipeline.parts import Parts, load_scene
     from registry.pipeline.pipeline import load_pipeline
+    from registry.runs.folder import RunFolder
     from registry.runs.opening import FAILURES
     from registry.runs.origin import refuse_changed_inputs
+    from registry.runs.sources.places import in_its_place
     from registry.training.assembly import restore
     from registry.training.checkpoint import explain_misfit, read_checkpoint
 
@@ -108,11 +114,12 @@ def repeat_failure(
             f"iteration {iteration} does not come after {checkpoint.iteration} in a run of {last}"
         )
         raise RunError(what, where=str(place), fix=fix)
+    pipeline = in_its_place(pipeline, RunFolder(place.absolute().parent.parent), scene)
     parts = Parts(pipeline, device)
-    scene = load_scene(parts.one("scene"))
+    loaded = load_scene(parts.one("scene"))
     if not accept_changed_inputs:
-        refuse_changed_inputs(inputs, scene, pipeline, place)
+        refuse_changed_inputs(inputs, loaded, pipeline, place)
     with explain_misfit(place):
-        trainer = restore(parts, scene, checkpoint)
+        trainer = restore(parts, loaded, checkpoint)
     next(done for done in trainer.run() if done.number == iteration)
     return Failure(iteration, str(notes.get("what")))

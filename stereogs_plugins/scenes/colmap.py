@@ -80,6 +80,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         train, test = [kept[k] for k in train], [kept[k] for k in test]
         photos = [all_photos[index] for index in train + test]
         loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
+        loaded.report_transparency()
         points = None
         if settings.points:
             tracks = model.tracks()
@@ -125,6 +126,11 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         if tested and not test:
             what = "the list of test views names no image of the model"
             raise SceneError(what, where=str(listed), fix=fix)
+        if unknown := sorted(tested.difference(names)):
+            _log.warning(
+                "%s lists %d photographs that are missing, for example %s",
+                *(listed, len(unknown), unknown[0]),
+            )
         pool = [k for k in range(len(names)) if k not in test]
         return self.settings.chosen(pool, str(listed)), test, "the file's, evenly spaced"
 

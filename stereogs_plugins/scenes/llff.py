@@ -106,6 +106,7 @@ class LLFFScene(SceneLoader[LLFFSettings]):
             for k in train + test
         ]
         loaded = LoadedPhotos.load(photos, settings.decoder(), train, test)
+        loaded.report_transparency()
         loaded.require_one_size()
         points = read_points(folder, len(rows), train) if settings.points else None
         if settings.bounds == "estimate":

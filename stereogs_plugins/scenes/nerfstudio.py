@@ -95,6 +95,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
             divided_by(settings.downsample, settings.max_size), settings.resize_filter
         )
         loaded = LoadedPhotos.load(photos, decoder, train, test)
+        loaded.report_transparency()
         points = _read_points(folder, transforms, path) if settings.points else None
         bounds = estimate_bounds(loaded.training_cameras, points, str(path))
         seen_by = Fact("points_seen_by", "all photographs" if points else "none")
@@ -227,7 +228,9 @@ def _lens_of(frame: _Frame, transforms: _Transforms, photo: Path, where: str) ->
     focal_x = focal("fl_x", "camera_angle_x", width)
     focal_y = focal("fl_y", "camera_angle_y", height)
     if focal_x is None:
-        what = "the focal length is missing: neither 'fl_x' nor 'camera_angle_x' is given"
+        focal_x = focal_y
+    if focal_x is None:
+        what = "the focal length is missing: 'fl_x', 'fl_y', 'camera_angle_x' or 'camera_angle_y'"
         raise SceneError(what, where=where, fix=_FIX)
     return Lens(
         fx=focal_x,
@@ -254,6 +257,10 @@ def _photos(
         _relative(folder, frame.file_path, f"{path}, frame {index}")
         for index, frame in enumerate(transforms.frames)
     ]
+    if repeated := [name for name, count in Counter(relative).items() if count > 1]:
+        what = f"{relative.count(repeated[0])} frames have the photograph {repeated[0]!r}"
+        fix = "keep one frame for each photograph, with the right pose"
+        raise SceneError(what, where=str(path), fix=fix)
     order = sorted(range(len(relative)), key=lambda index: relative[index])
     names = view_names([relative[index] for index in order])
     masks = _masks(folder, path, transforms, relative) if with_masks else [None] * len(relative)

@@ -256,6 +256,21 @@ class LoadedPhotos:
         """Cameras of the training views, for `estimate_bounds`."""
         return [view.camera for view in self.views[: len(self.train)]]
 
+    def report_transparency(self) -> None:
+        """Log which photographs have transparent pixels, and what is behind them."""
+        clear = [
+            view.name
+            for view in self.views
+            if view.alpha is not None and bool((view.alpha < 1).any())
+        ]
+        if clear:
+            _log.info(
+                "transparent pixels in %d of %d photographs, %s first, are laid on the background (%s); "
+                "masks exclude pixels",
+                *(len(clear), len(self.views), clear[0]),
+                " ".join(f"{channel:g}" for channel in self.decoder.background),
+            )
+
     def require_one_size(self) -> None:
         """Refuse views of different sizes, for formats that require equal sizes.
 

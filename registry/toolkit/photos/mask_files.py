@@ -47,8 +47,8 @@ def find_masks(images: Path, photos: Sequence[Path]) -> list[Path | None]:
     Raises:
         SceneError: Two photographs have the same mask.
     """
-    listed = cache(list_images)
-    found = [_mask_of(images, photo, listed) for photo in photos]
+    listed, folders = cache(list_images), cache(_mask_folders)
+    found = [_mask_of(images, photo, listed, folders) for photo in photos]
     for mask, count in Counter(filter(None, found)).items():
         if count > 1:
             first, second, *_ = [
@@ -64,20 +64,28 @@ def find_masks(images: Path, photos: Sequence[Path]) -> list[Path | None]:
     return found
 
 
+def is_mask_folder(path: Path) -> bool:
+    """Return whether a folder's name says that it has masks: `masks`, `mask` or `masks_2`."""
+    return bool(_FOLDER.fullmatch(path.name))
+
+
 def are_masks(paths: Sequence[Path], folder: Path) -> list[bool]:
     """Return which pictures of a folder are masks by their folder or name; none if all would be."""
     photos = {(path.parent, _bare(path.name)) for path in paths if not _is_marked(path)}
     masks = [
-        any(_FOLDER.fullmatch(part) for part in path.relative_to(folder).parts[:-1])
+        any(map(is_mask_folder, path.relative_to(folder).parents))
         or (_is_marked(path) and (path.parent, _bare(path.name)) in photos)
         for path in paths
     ]
     return [False] * len(paths) if all(masks) else masks
 
 
-def _mask_of(images: Path, photo: Path, listed: Callable[[Path], list[Path]]) -> Path | None:
+_List = Callable[[Path], list[Path]]
+
+
+def _mask_of(images: Path, photo: Path, listed: _List, folders: _List) -> Path | None:
     bare = _bare(photo.name)
-    for folder in _places(images, photo):
+    for folder in _places(images, photo, folders):
         masks = [path for path in listed(folder) if _bare(path.name) == bare]
         if folder == photo.parent:
             masks = [path for path in masks if _is_marked(path) and path.name != photo.name]
@@ -87,10 +95,10 @@ def _mask_of(images: Path, photo: Path, listed: Callable[[Path], list[Path]]) ->
     return None
 
 
-def _places(images: Path, photo: Path) -> Iterator[Path]:
+def _places(images: Path, photo: Path, folders: _List) -> Iterator[Path]:
     """Folders that may have the mask of a photograph."""
     for place in photo.parents:
-        for folder in _mask_folders(place):
+        for folder in folders(place):
             yield folder / photo.parent.relative_to(place)
         if place == images:
             break
@@ -98,9 +106,24 @@ def _places(images: Path, photo: Path) -> Iterator[Path]:
 
 
 def _mask_folders(images: Path) -> list[Path]:
-    beside = dict.fromkeys((images.name.replace("images", "masks", 1), "masks", "mask"))
-    folders = [images.parent / name for name in beside if name != images.name]
-    return [path for path in (*folders, images / "masks", images / "mask") if path.is_dir()]
+    """Folders of masks beside and inside a folder of photographs, in whatever case."""
+    names = (images.name.lower().replace("images", "masks", 1), "masks", "mask")
+    inside_names = names[1:]
+    found = [
+        (names.index(path.name.lower()), path)
+        for path in _folders(images.parent)
+        if path.name.lower() in names and path.name != images.name
+    ]
+    return [path for _, path in sorted(found)] + [
+        path for path in _folders(images) if path.name.lower() in inside_names
+    ]
+
+
+def _folders(place: Path) -> list[Path]:
+    try:
+        return sorted(path for path in place.iterdir() if path.is_dir())
+    except OSError:  # not readable
+        return []
 
 
 def _is_marked(path: Path) -> bool:

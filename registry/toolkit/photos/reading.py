@@ -8,6 +8,7 @@ import math
 import zipfile
 from codecs import BOM_UTF8
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from unicodedata import normalize
@@ -183,11 +184,33 @@ def find_image(path: Path) -> Path:
 
 
 def existing_image(path: Path) -> Path | None:
-    """Return the file itself, in another Unicode form (macOS decomposes accents), or with another suffix."""
+    """Return the file itself, or one whose name differs in its Unicode form, suffix or case only."""
     spellings = [path, *(path.with_name(normalize(form, path.name)) for form in ("NFC", "NFD"))]
     suffixes = [spelling for suffix in IMAGE_SUFFIXES for spelling in (suffix, suffix.upper())]
     others = [named.with_name(named.stem + suffix) for named in spellings for suffix in suffixes]
-    return next((file for file in [*spellings, *others] if file.is_file()), None)
+    found = next((file for file in [*spellings, *others] if file.is_file()), None)
+    return found or _in_other_case(path)
+
+
+def _in_other_case(path: Path) -> Path | None:
+    """Return the only image whose name differs in case, and perhaps in suffix; None if there are several."""
+    if not path.parent.is_dir():
+        return None
+    files = _files_by_name(path.parent, path.parent.stat().st_mtime_ns)
+    plain = Path(normalize("NFC", path.name).lower())
+    names = [plain.name, *(plain.stem + suffix for suffix in IMAGE_SUFFIXES)]
+    found = next((files[name] for name in names if name in files), ())
+    return found[0] if len(found) == 1 else None
+
+
+@lru_cache(maxsize=8)
+def _files_by_name(folder: Path, changed: int) -> dict[str, list[Path]]:
+    """Files of a folder by name in lower case; `changed`, its time of change, makes a new list."""
+    files: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.is_file():
+            files.setdefault(normalize("NFC", path.name).lower(), []).append(path)
+    return files
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -201,7 +224,8 @@ def list_images(folder: Path) -> list[Path]:
 def inside(folder: Path, name: str, where: str) -> Path:
     """Return the path of a file that a camera file names; it must lie inside the scene's folder.
 
-    Backslashes separate folders as slashes do. An absolute path is accepted if it leads into the folder.
+    Backslashes separate folders as slashes do. An absolute path is accepted if it leads into the folder, or,
+    on another machine, if the file is there under the longest end of the path that exists.
 
     Raises:
         SceneError: The name is empty, contains `..` or characters that file names cannot have, or leads
@@ -211,14 +235,16 @@ def inside(folder: Path, name: str, where: str) -> Path:
     root = folder.absolute()
     if relative.is_absolute() and relative.is_relative_to(root):
         relative = relative.relative_to(root)
-    if (
-        not relative.parts
-        or relative.is_absolute()
-        or PureWindowsPath(relative).drive
-        or ".." in relative.parts
-        or not name.isprintable()
-        or max(len(part.encode()) for part in relative.parts) > _MAX_NAME
-    ):
+    possible = (
+        bool(relative.parts)
+        and ".." not in relative.parts
+        and name.isprintable()
+        and max(len(part.encode()) for part in relative.parts) <= _MAX_NAME
+    )
+    if possible and (relative.is_absolute() or PureWindowsPath(relative).drive):
+        ends = [PurePosixPath(*relative.parts[k:]) for k in range(1, len(relative.parts))]
+        relative = next((end for end in ends if existing_image(folder / end)), relative)
+    if not possible or relative.is_absolute() or PureWindowsPath(relative).drive:
         raise SceneError(
             f"the file name {name[:100]!r} does not stay inside the scene's folder",
             where=where,

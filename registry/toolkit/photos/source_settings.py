@@ -10,6 +10,7 @@ from pydantic import Field
 from ...contract.component import Settings
 from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter, divided_by
+from .mask_files import is_mask_folder
 from .reading import IMAGE_SUFFIXES, list_images
 
 if TYPE_CHECKING:
@@ -50,18 +51,29 @@ class ImageSourceSettings(Settings):
         full_size = self.image_source == "resize" or self.downsample == 1
         folder = scene / (self.images or ("images" if full_size else f"images_{self.downsample}"))
         if not _has_images(folder):
-            smaller = [path for path in scene.glob("images_*") if _has_images(path)]
-            if full_size and not self.images and len(smaller) == 1:
-                _log.info("%s is missing: photographs are those of %s", folder, smaller[0].name)
-                return smaller[0]
-            present = ", ".join(sorted(path.name for path in scene.glob("images*"))) or "none"
+            present = _image_folders(scene)
+            if full_size and not self.images and len(present) == 1:
+                name = present[0].relative_to(scene)
+                _log.info("%s is missing: photographs are those of %s", folder, name)
+                return present[0]
+            names = ", ".join(str(path.relative_to(scene)) for path in present) or "none"
             which = "" if self.images else f" for downsample {self.downsample}"
             raise SceneError(
                 f"images are missing{which}",
                 where=str(folder),
-                fix=f"set `downsample` or `images` to an existing folder (found: {present})",
+                fix=f"set `downsample` or `images` to an existing folder (found: {names})",
             )
         return folder
+
+
+def _image_folders(scene: Path) -> list[Path]:
+    """Return the folders images_N that have photographs; if there is none, the other ones that have."""
+    if not scene.is_dir():
+        return []
+    folders = sorted(path for path in scene.iterdir() if path.is_dir() and not is_mask_folder(path))
+    named = [path for path in folders if path.name.startswith("images") and _has_images(path)]
+    others = [path for path in [*folders, scene] if list_images(path)]
+    return named or others
 
 
 def _has_images(folder: Path) -> bool:

@@ -27,6 +27,8 @@ MAX_VIEWS = 24
 RENDERS = "renders"
 _MAX_ERROR = 0.3
 """Error of the scale's last colour; colours are in [0, 1], errors averaged over the channels."""
+_EXCLUDED = 0.5
+"""Grey of pixels that a mask excludes, a colour that `RAMP` does not have."""
 _LONGEST_SIDE = 1000
 
 
@@ -67,10 +69,14 @@ def _error(view: View, files: ViewPictures) -> str:
         rendered = torch.from_numpy(np.array(opened.convert("RGB"))).float() / 255
     if rendered.shape != view.image.shape:
         return ""
-    error = (rendered - view.image).abs().mean(dim=2)
-    picture = image(_picture(ramp_picture(error / _MAX_ERROR)), "error", _LONGEST_SIDE)
+    error = ramp_picture((rendered - view.image).abs().mean(dim=2) / _MAX_ERROR)
+    caption = "Error: mean difference of colours in [0, 1]"
+    if view.mask is not None:
+        error[~view.mask] = _EXCLUDED
+        caption += "; grey: excluded by the mask"
+    picture = image(_picture(error), "error", _LONGEST_SIDE)
     scale = color_scale(RAMP, ["0", f"{_MAX_ERROR / 2:g}", f"{_MAX_ERROR:g} and more"])
-    return figure("Error: mean difference of colours in [0, 1]", picture + scale)
+    return figure(caption, picture + scale)
 
 
 def _depth(files: ViewPictures) -> str:

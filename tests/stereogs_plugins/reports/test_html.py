@@ -153,6 +153,18 @@ def test_pictures_of_a_view_are_its_photograph_render_error_and_depth(run: RunFo
         assert picture.info["nearest depth"] == "2.04", "the 98th percentile of the inverse"
 
 
+def test_the_error_shows_pixels_that_the_mask_excludes_in_grey(run: RunFolder) -> None:
+    scene = tiny_scene()
+    mask = torch.ones(24, 32, dtype=torch.bool)
+    mask[:, :16] = False
+    scene = replace(scene, test=(replace(scene.test[0], mask=mask), *scene.test[1:]))
+    file = build(HtmlReport).write(run.path, scene)[0]
+    error = np.asarray(Page(file.read_text("utf-8")).pictures()[2].convert("RGB"), float)
+    assert np.ptp(error[:, :12], axis=2).max() < 12
+    assert np.ptp(error[:, 20:], axis=2).min() > 12
+    assert "grey: excluded by the mask" in file.read_text("utf-8")
+
+
 def test_initial_points_are_told_by_kind(run: RunFolder) -> None:
     page = written(run)
     assert '<td class="name">back layer</td><td>15</td><td>25.0%</td>' in page

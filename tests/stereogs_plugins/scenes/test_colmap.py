@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 import shutil
 import struct
 from collections.abc import Callable
@@ -412,3 +413,44 @@ def test_a_damaged_text_file(line: str, tmp_path: Path) -> None:
     (folder / "sparse" / "0" / "cameras.txt").write_text(line)
     with pytest.raises(SceneError, match="COLMAP model cannot be read"):
         load(folder)
+
+
+@pytest.mark.parametrize("place", ["input", "."])
+def test_photographs_in_the_only_other_folder_are_found(place: str, tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "masks").mkdir()
+    Image.new("L", (64, 48), 255).save(folder / "masks" / "IMG_00.png")
+    shutil.copytree(folder / "images", folder / place, dirs_exist_ok=True)
+    shutil.rmtree(folder / "images")
+    assert_sees_the_points(load(folder))
+    (folder / "more").mkdir()
+    Image.new("RGB", (64, 48)).save(folder / "more" / "a.png")
+    with pytest.raises(SceneError) as caught:
+        load(folder)
+    assert (
+        f"(found: {', '.join(sorted((place, 'more'), reverse=place == '.'))})" in caught.value.fix
+    )
+    assert_sees_the_points(load(folder, images=place))
+
+
+def test_names_may_differ_in_case(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    for path in (folder / "images").iterdir():
+        path.rename(path.with_name(f"{path.stem.lower()}.Png"))
+    assert_sees_the_points(load(folder))
+
+
+def test_transparency_and_missing_test_views_are_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_colmap(tmp_path, World())
+    (folder / "sparse" / "0" / "test.txt").write_text("IMG_03.JPG\nIMG_99.JPG\n")
+    for path in (folder / "images").iterdir():
+        with Image.open(path) as opened:
+            picture = opened.convert("RGBA")
+        picture.putpixel((0, 0), (0, 0, 0, 0))
+        picture.save(path)
+    with caplog.at_level(logging.INFO, logger="stereogs.photos"):
+        assert [view.name for view in load(folder).test] == ["IMG_03"]
+    assert "transparent pixels in 9 of 9 photographs" in caplog.text
+    assert "lists 1 photographs that are missing, for example IMG_99.JPG" in caplog.text

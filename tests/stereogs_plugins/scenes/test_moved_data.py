@@ -10,6 +10,7 @@ import pytest
 
 import stereogs
 from registry import SceneError
+from stereogs_plugins.regularizers.parameter_l1 import ParameterL1
 from tests.host import main
 from tests.stereogs_plugins.scenes.small_scenes import World, write_nerfstudio
 
@@ -73,3 +74,27 @@ def test_renders_and_exports_need_no_photographs(run: stereogs.Run) -> None:
     for verb in (["render"], ["export", "--format", "ply"], ["render", "--path", "--frames", "2"]):
         assert main([*verb, "../project/run"]) == 0
     assert main(["eval", "../project/run"]) == 2
+
+
+def test_a_failed_iteration_is_repeated_from_another_folder_and_with_moved_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(self: ParameterL1, *_: object) -> None:
+        raise RuntimeError("on purpose")
+
+    for name in ("project", "elsewhere"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "project")
+    write_nerfstudio(Path("data"), World())
+    term = {"use": "parameter_l1", "parameter": "opacities"}
+    with monkeypatch.context() as patch:
+        patch.setattr(ParameterL1, "loss", fail)
+        with pytest.raises(stereogs.ExplainedError, match="on purpose"):
+            stereogs.train({**PIPELINE, "regularizers": [term]}, out="run", progress=False)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    replay = ["replay", "../project/run/failures/iteration-0000001"]
+    assert main(replay) == 0
+    shutil.move("../project/data", "../data")
+    assert main(replay) == 2
+    assert main([*replay, "--scene", "../data"]) == 0
+    assert "iteration 1 succeeds now" in capsys.readouterr().out

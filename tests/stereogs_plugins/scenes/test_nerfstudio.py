@@ -289,7 +289,10 @@ def first_frame(**fields: Any) -> Callable[[dict[str, Any]], object]:
 
 DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "no frames": (lambda c: c.update(frames=[]), "no frame"),
-    "no focal length": (lambda c: (c.pop("fl_x"), c["frames"][0].pop("fl_x")), "neither 'fl_x'"),
+    "no focal length": (
+        lambda c: [fields.pop(name) for fields in (c, c["frames"][0]) for name in ("fl_x", "fl_y")],
+        "the focal length is missing",
+    ),
     "text for a number": (lambda c: c.update(w="64"), "'w' cannot be used"),
     "nan": (lambda c: c.update(cx=float("nan")), "'cx' cannot be used"),
     "negative": (first_frame(fl_y=-3.0), "focal length fy is -3"),
@@ -302,7 +305,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         first_frame(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
         "not a rotation",
     ),
-    "one frame twice": (lambda c: c["frames"].append(c["frames"][0]), "two views are named"),
+    "one frame twice": (lambda c: c["frames"].append(c["frames"][0]), "2 frames have the photo"),
 }
 
 
@@ -320,3 +323,22 @@ def test_bad_input_is_an_error(
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"transforms.json is missing"):
         load(tmp_path)
+
+
+@pytest.mark.parametrize("start", ["/mnt/me/scan/", "C:\\scans\\my scan\\", "D:/"])
+def test_absolute_paths_of_another_machine_are_found_in_the_folder(
+    start: str, tmp_path: Path
+) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    expected = load(folder)
+    edit(folder, lambda c: [f.update(file_path=start + f["file_path"]) for f in c["frames"]])
+    assert [view.name for view in load(folder).train] == [view.name for view in expected.train]
+    edit(folder, lambda c: c["frames"][0].update(file_path="/mnt/other/frame.png"))
+    with pytest.raises(SceneError, match="does not stay inside"):
+        load(folder)
+
+
+def test_one_focal_length_is_that_of_both_sides(tmp_path: Path) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    edit(folder, lambda c: [fields.pop("fl_x") for fields in (c, c["frames"][0])])
+    assert_sees_the_points(load(folder))

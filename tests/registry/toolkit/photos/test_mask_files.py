@@ -23,6 +23,7 @@ LAYOUTS = {
     "converted": ("images/a.heic", "masks/a.png"),
     "metashape": ("images/a.jpg", "masks/a_mask.png"),
     "realityscan": ("images/a.jpg", "images/a.jpg.mask.png"),
+    "capital": ("images/a.jpg", "Masks/a.jpg.png"),
     "singular": ("images/a.jpg", "mask/a.png"),
     "decomposed accents": ("images/caf\u00e9.jpg", "masks/cafe\u0301.png"),
     "dots": ("images/a.1.jpg", "masks/a.1.jpg.png"),

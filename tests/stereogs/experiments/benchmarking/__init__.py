@@ -1,0 +1,1 @@
+"""Tests of `stereogs.experiments.benchmarking`, which import its modules."""
