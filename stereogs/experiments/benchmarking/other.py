@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from core_rasterizer import Engine, Gaussians, Rendering, load_ply
+from core_rasterizer import SH_C0, Engine, Gaussians, Rendering, load_ply
 from registry import PointCloud, RunError, Scene, View
 from registry.calls.process_state import one_torch_thread
 from registry.pipeline.parts import Parts
@@ -117,7 +117,7 @@ def given_views(scene: Scene, points: PointCloud, repeat_first: bool) -> Scene:
 
 def _points(gaussians: Gaussians) -> PointCloud:
     """Return centres and colours of Gaussians."""
-    colors = (gaussians.sh[:, 0] * 0.28209479177387814 + 0.5).clamp(0, 1)  # Y_0^0
+    colors = (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)
     return PointCloud(gaussians.means.double(), colors.float())
 
 
