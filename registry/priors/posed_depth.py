@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from core_rasterizer import Camera, CameraError
-
 from ..contract.component import SettingsType
 from ..contract.prior import Prior
 from ..errors import PluginError
@@ -138,6 +136,8 @@ class PosedDepthPrior(Prior[SettingsType]):
 
     def _checked_view(self, index: int, answer: Any, image: Tensor) -> PosedDepth:
         import torch
+
+        from core_rasterizer import Camera, CameraError
 
         if not isinstance(answer, PosedDepth):
             raise PluginError(f"the answer has a {type(answer).__name__}, expected a `PosedDepth`")

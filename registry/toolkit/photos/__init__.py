@@ -63,12 +63,12 @@ if TYPE_CHECKING:
         PosedPhoto as PosedPhoto,
         usable_photos as usable_photos,
     )
-    from .mask_files import (
+    from .masks.files import (
         are_masks as are_masks,
         find_masks as find_masks,
         masks_beside as masks_beside,
     )
-    from .masks import read_mask as read_mask
+    from .masks.reading import read_mask as read_mask
     from .reading import (
         IMAGE_SUFFIXES as IMAGE_SUFFIXES,
         Finite as Finite,

@@ -13,7 +13,7 @@ from ..progress.parallel import in_parallel
 from .copies import Impression
 from .decoder import QUARTER_TURNS, Decoder, stored_form, stored_size
 from .lens import Lens, import_pycolmap, undistort
-from .masks import points_in_training, read_mask, report_masks
+from .masks.reading import points_in_training, read_mask, report_masks
 from .reading import existing_image, find_image
 
 if TYPE_CHECKING:

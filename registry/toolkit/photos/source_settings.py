@@ -10,7 +10,7 @@ from pydantic import Field
 from ...contract.component import Settings
 from ...errors import SceneError
 from .decoder import Decoder, ResizeFilter, divided_by
-from .mask_files import is_mask_folder
+from .masks.files import is_mask_folder
 from .reading import IMAGE_SUFFIXES, list_images
 
 if TYPE_CHECKING:

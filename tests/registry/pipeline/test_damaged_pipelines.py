@@ -15,8 +15,8 @@ from tests.fuzzing.formats.texts import ENVIRONMENT, shipped_plugins
 from tests.host import Plugins
 
 SHIPPED = Path(__file__).parents[3] / "pipelines" / "stereogs.yaml"
-SLOWEST = 1.0
-"""Seconds, for the answer to one mistake."""
+SLOWEST = 5.0
+"""CPU seconds, for the answer to one mistake."""
 
 MISSPELT = (
     *("scene", "priors", "initializer", "regularizers", "densification", "opacity", "metrics"),

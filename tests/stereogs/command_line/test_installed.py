@@ -22,6 +22,7 @@ EXAMPLES = {
     "init": ["init", "mine"],
     "ablate": ["ablate", "ablations/parts"],
     "bench": ["bench", "matrix.yaml"],
+    "benchmark": ["benchmark", "matrix.yaml"],
     "check": ["check", "folder"],
     "compare": ["compare", "runs/x", "runs/y"],
     "completion": ["completion", "bash"],

@@ -13,9 +13,8 @@ import pytest
 from PIL import Image
 
 from registry import SceneError
-from registry.toolkit.photos import Decoder, stored_size
+from registry.toolkit.photos import Decoder, read_mask, stored_size
 from registry.toolkit.photos.decoder import open_image
-from registry.toolkit.photos.masks import read_mask
 
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 6\n%%EndComments\nshowpage\n%%EOF\n"
 

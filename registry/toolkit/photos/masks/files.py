@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from unicodedata import normalize
 
-from ...errors import SceneError
-from .decoder import HEIF_SUFFIXES
-from .reading import IMAGE_SUFFIXES, inside, list_images
+from ....errors import SceneError
+from ..decoder import HEIF_SUFFIXES
+from ..reading import IMAGE_SUFFIXES, inside, list_images
 
 _SUFFIXES = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES, ".jfif", ".jpe")
 _FOLDER = re.compile(r"masks?(_\d+)?", re.IGNORECASE)

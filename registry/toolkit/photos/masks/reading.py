@@ -6,8 +6,8 @@ import logging
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from ...errors import SceneError
-from .decoder import (
+from ....errors import SceneError
+from ..decoder import (
     EIGHT_BIT_MODES,
     QUARTER_TURNS,
     alpha_channel,
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL import Image
 
-    from ...contract.scene import PointCloud, View
-    from .decoder import Pixels, Size
+    from ....contract.scene import PointCloud, View
+    from ..decoder import Pixels, Size
 
 _LOSSY = ("JPEG", "WEBP")
 _FIX = "restore the mask, or remove it from the scene; `masks: false` ignores all"

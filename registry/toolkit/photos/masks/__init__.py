@@ -1,0 +1,1 @@
+"""Find the masks of photographs, and read them."""
