@@ -82,6 +82,7 @@ def changed_record(folder: TrialFolder, benchmark: Benchmark, **changes: object)
     file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
 
 
+@pytest.mark.proof
 def test_pipelines_and_programs_in_one_table(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_photograph_stored_sideways_is_turned(folder: Path, room: Scene, entry
     assert float((small[0] - small[1]).abs().mean()) < 0.03
 
 
+@pytest.mark.proof
 def test_masks_exclude_pixels_from_matching_training_and_points(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
