@@ -21,18 +21,25 @@ if TYPE_CHECKING:
     from core_rasterizer import Gaussians
 
 
-def pipeline_of(protocol: str, folder: Path, changes: Sequence[str] = ()) -> Pipeline:
-    """Return a pipeline that loads a folder by a protocol.
+def pipeline_of(protocol: str, folder: Path | None = None, changes: Sequence[str] = ()) -> Pipeline:
+    """Return a pipeline that loads a folder by a protocol, and has its metrics.
+
+    Args:
+        folder: folder of the scene; None if only the metrics are used.
 
     Raises:
         SceneError: no loader of the protocol recognizes the folder.
         PipelineError: a change contradicts the protocol.
     """
+    if folder is None:
+        scene = {"use": next(iter(load_protocol(protocol).loaders)), "path": "none"}
+    else:
+        scene = {"use": loader_of(protocol, folder), "path": escape_variables(str(folder))}
     return build_pipeline(
         {
             "name": protocol,
             "protocol": protocol,
-            "scene": {"use": loader_of(protocol, folder), "path": escape_variables(str(folder))},
+            "scene": scene,
             "initializer": "random",
         },
         changes,

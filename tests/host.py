@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from stereogs.experiments.comparing.comparison import read_run
     from stereogs.experiments.comparing.labels import labels
     from stereogs.experiments.comparing.paper_tables import Numbers, paper_tables
+    from stereogs.protocol_scene import pipeline_of as protocol_pipeline
     from stereogs.quality.fitting import Fit
     from stereogs.verbs.completion import Completion
     from stereogs.verbs.models.networks import NETWORKS as KNOWN_NETWORKS

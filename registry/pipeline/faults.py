@@ -108,7 +108,7 @@ def _unavailable(item: Item, name: str, fields: int) -> tuple[str, str] | None:
         )
     if name == "other_fields" and item.host.step == "alone":
         return (
-            "it needs 'other_fields', which do not exist yet in a step of its own",
+            "it needs 'other_fields', which are rendered after the regularizers with `step: alone`",
             "remove `step: alone`",
         )
     return None

@@ -29,14 +29,13 @@ from nerfbaselines import (
 from nerfbaselines.evaluation import DefaultEvaluationProtocol
 
 import stereogs
-from registry import Metric, Unavailable
-from registry.discovery import Plugins
+from registry import Metric, SceneError, Unavailable
 from registry.pipeline.parts import build_part
-from registry.pipeline.pipeline import Pipeline
 from registry.pipeline.protocols import load_protocol
-from registry.recognition import scene_loaders
 from registry.system.files import write_text
 from registry.toolkit.drawing import save_png
+
+from ..protocol_scene import pipeline_of
 
 DATA = "STEREOGS_DATA"
 PREFIX = "stereogs-"
@@ -63,34 +62,14 @@ def prepare(path: str, output: str | Path) -> None:
     dataset, _, scene = path.partition("/")
     name = dataset.removeprefix(PREFIX)
     if scene:
-        _write(stereogs.load_scene(pipeline_of(name, _folder(scene))), name, scene, Path(output))
+        _write(_scene(name, _folder(scene)), name, scene, Path(output))
         return
     for each in load_protocol(name).scenes:
         try:
             folder = _folder(each)
         except DatasetNotFoundError:
             continue
-        _write(stereogs.load_scene(pipeline_of(name, folder)), name, each, Path(output) / each)
-
-
-def pipeline_of(protocol: str, folder: Path | None = None) -> Pipeline:
-    """Build a pipeline of a protocol, for its scene and its metrics.
-
-    Args:
-        folder: folder of the scene; None if only the metrics are used.
-    """
-    loaders = load_protocol(protocol).loaders
-    known = [name for name in loaders if folder is None or _reads(name, folder)]
-    if not known:
-        raise DatasetNotFoundError(f"{folder} does not have the layout of {' or '.join(loaders)}")
-    return stereogs.build_pipeline(
-        {
-            "name": protocol,
-            "protocol": protocol,
-            "scene": {"use": known[0], "path": str(folder or "none")},
-            "initializer": "random",
-        }
-    )
+        _write(_scene(name, folder), name, each, Path(output) / each)
 
 
 def load(path: str, split: str, features: Any = None, **_: Any) -> UnloadedDataset:
@@ -142,11 +121,12 @@ def _folder(scene: str) -> Path:
     )
 
 
-def _reads(loader: str, folder: Path) -> bool:
-    return any(
-        offer.name == loader and component.recognizes(folder)
-        for offer, component in scene_loaders(Plugins())
-    )
+def _scene(protocol: str, folder: Path) -> stereogs.Scene:
+    try:
+        pipeline = pipeline_of(protocol, folder)
+    except SceneError as error:  # another layout
+        raise DatasetNotFoundError(str(error)) from error
+    return stereogs.load_scene(pipeline)
 
 
 def _write(scene: stereogs.Scene, protocol: str, name: str, folder: Path) -> None:

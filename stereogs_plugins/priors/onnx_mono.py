@@ -232,7 +232,7 @@ class OnnxMono(MonocularDepthPrior[OnnxMonoSettings]):
         maps = answer.reshape(1, 1, *answer.shape[-2:])
         if fit.content != fit.target:  # without the border
             return fit.undo(interpolate(maps, fit.target, mode="bilinear")[0])[0]
-        # Values have no unit of pixels, so the output may have any size.
+        # Depth does not depend on the size of the image, so the output may have any.
         return interpolate(maps, fit.image, mode="bilinear")[0, 0]
 
     def _depth(

@@ -280,7 +280,7 @@ def exif_orientation(file: Image.Image) -> int:
 
 
 def turned_by(image: Image.Image, orientation: int) -> Image.Image:
-    """Return an image turned by an EXIF orientation, instead of its own."""
+    """Return an image turned by the given EXIF orientation; the one in its file is ignored."""
     from PIL import ImageOps
 
     image.getexif()[_ORIENTATION] = orientation

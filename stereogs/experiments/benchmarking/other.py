@@ -165,6 +165,7 @@ def run_command(
         raise RunError(
             "\n".join([f"the program ended with status {process.returncode}:", *last]),
             where=str(log),
+            fix="read the log, correct the commands in the program's file, and run it again",
         )
     return Ran(started, time.time() - started, _children_seconds() - before, peak)
 

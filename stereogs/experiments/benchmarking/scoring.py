@@ -33,13 +33,18 @@ def scores_of(scores: Scores, pipeline: Pipeline) -> dict[str, Any]:
     """Return means and views of scores.
 
     Raises:
-        ExplainedError: a metric failed, or there are no test views.
+        ExplainedError: a metric failed, or no view is held out.
     """
     if failed := next(iter(scores.failures.values()), None):
         raise failed
     if not scores.views:
-        raise RunError("the scene has no test views", where=pipeline.name)
-    return jsonable({"test": scores.mean, "views": scores.views, "unavailable": scores.unavailable})  # type: ignore[no-any-return]
+        raise RunError(
+            "the scene has no test views to score",
+            where=pipeline.name,
+            fix="name a protocol that holds some out, and check the folder with `stereogs data check`",
+        )
+    found = {"test": scores.mean, "views": scores.views, "unavailable": scores.unavailable}
+    return dict(jsonable(found))
 
 
 def about(pipeline: Pipeline, parts: Parts, scene: Any, engine: Engine) -> dict[str, Any]:
@@ -50,14 +55,14 @@ def about(pipeline: Pipeline, parts: Parts, scene: Any, engine: Engine) -> dict[
     """
     if pipeline.protocol is None:
         fix = "name one in the benchmark file"
-        raise RunError("the result has no protocol", where=pipeline.name, fix=fix)
+        raise RunError("the pipeline follows no protocol", where=pipeline.name, fix=fix)
     around = circumstances(pipeline, engine)
     memory = machine_memory()
     digests = input_digests(scene, pipeline)
     views = {view.name for view in scene.test}
     return {
         "protocol": pipeline.protocol.record(),
-        "inputs": {k: v for k, v in digests.items() if k.rpartition(" ")[2] in views},
+        "inputs": {k: v for k, v in digests.items() if k.partition(" of ")[2] in views},
         "machine": {
             "device": around["device"],
             "processor": _processor(),

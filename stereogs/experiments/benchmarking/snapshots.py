@@ -10,6 +10,8 @@ from typing import Generic, NamedTuple, TypeVar
 State = TypeVar("State")
 _WINDOW = 100
 """Iterations whose longest duration tells when to begin to copy."""
+_OLDEST = 0.01
+"""Largest age of the copy, as a share of the budget, in case an iteration suddenly takes longer."""
 
 
 class Snapshot(NamedTuple, Generic[State]):
@@ -23,7 +25,9 @@ class Snapshot(NamedTuple, Generic[State]):
 class Snapshots(Generic[State]):
     """Keeps the last state that was complete within each budget.
 
-    States are copied only shortly before a budget ends, so few copies are made.
+    States are copied shortly before a budget ends, and before that whenever the copy has become too old, so
+    few copies are made. If one iteration takes much longer than those before, the state that is kept may
+    be older than the last complete one, by at most 1 % of the budget.
 
     Args:
         budgets: seconds.
@@ -54,5 +58,8 @@ class Snapshots(Generic[State]):
             if self._latest is not None:
                 self.kept[passed] = self._latest
         soon = 2 * max(self._durations, default=float("inf"))
-        if self._waiting and now + soon >= self._waiting[0]:
+        if self._waiting and (now + soon >= self._waiting[0] or self._is_old(now)):
             self._latest = Snapshot(now, self.copy())
+
+    def _is_old(self, now: float) -> bool:
+        return self._latest is None or now - self._latest.seconds > _OLDEST * self._waiting[0]

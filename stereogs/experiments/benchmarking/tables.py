@@ -130,7 +130,7 @@ def _noise(benchmark: Benchmark, records: Records) -> ScoreTable:
             [
                 Cell(entrant),
                 Cell(f"{max(x for x, _ in equal):.3f}" if equal else NONE),
-                Cell(("yes" if all(same for _, same in equal) else "no") if equal else NONE),
+                Cell(_answer([same for _, same in equal])),
                 Cell(f"{statistics.fmean(seeds):.3f}" if seeds else NONE),
             ]
         )
@@ -164,9 +164,16 @@ def _groups(
             yield scores, [record["hash"] for record in group]
 
 
-def _spread(group: tuple[list[float], list[str | None]]) -> tuple[float, bool]:
+def _spread(group: tuple[list[float], list[str | None]]) -> tuple[float, bool | None]:
+    """Return the range of the scores, and whether all hashes are equal; None without hashes."""
     scores, hashes = group
-    return max(scores) - min(scores), None not in hashes and len({*hashes}) == 1
+    return max(scores) - min(scores), None if None in hashes else len({*hashes}) == 1
+
+
+def _answer(equal: list[bool | None]) -> str:
+    if not equal or None in equal:
+        return NONE
+    return "yes" if all(equal) else "no"
 
 
 def _costs(benchmark: Benchmark, records: Records) -> ScoreTable:

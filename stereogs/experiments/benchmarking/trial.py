@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import registry.runs.training_run  # noqa: F401  # what `train` imports counts as start
 from core_rasterizer import ExplainedError, GaussianError, Gaussians
 from registry import RunError
 from registry.discovery import Plugins

@@ -120,7 +120,7 @@ class Editor:
         rendering = self._subject.model.render(camera, opacity_scale=shown.float())
         center = clicked(camera, rendering, event.screen_pos)
         if center is None:
-            self._said = "There is no surface."
+            self._said = "Nothing is there: click on a surface."
             return
         radius = self._radius.value / 100 * float((center - camera.center).norm())
         near = in_ball(self._subject.model.read("means"), center, radius)

@@ -84,11 +84,10 @@ class Subject:
 def of_run(run: Run) -> Subject:
     """Return the Gaussians of a run, not copied, with their confidence."""
     confidence = cache(lambda: run.trained.confidence("calibrated"))
-    subject, placed = _of(run, run.engine_model, run.kinds), run.model
-    source = None
+    subject, source = _of(run, run.engine_model, run.kinds), None
     if run.folder is not None:
-        path = run.folder.path / EXPORTS / "scene.ply"
-        source = Source(path, placed.gaussians, placed.attributes)
+        path, exported = run.folder.path / EXPORTS / "scene.ply", run.exported
+        source = Source(path, exported.gaussians, exported.attributes)
     return replace(subject, confidence=confidence if run.photographs else None, source=source)
 
 

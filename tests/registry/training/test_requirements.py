@@ -39,8 +39,10 @@ def used(step: r.Step, name: str) -> Tensor:
     if name == "other_fields":
         return torch.tensor(float(len(step.others)))
     if name in OUTPUTS:
-        return getattr(step, name).sum() / 1000  # type: ignore[no-any-return]
-    return getattr(step.model, name)().sum()  # type: ignore[no-any-return]
+        rendered: Tensor = getattr(step, name)
+        return rendered.sum() / 1000
+    collected: Tensor = getattr(step.model, name)()
+    return collected.sum()
 
 
 class Term(r.Regularizer[Asking]):
@@ -200,7 +202,7 @@ REFUSED = [
     (
         item(Term, "a", "other_fields", step="alone"),
         {"fields": 2},
-        "do not exist yet in a step of its own",
+        "rendered after the regularizers",
         "step: alone",
     ),
 ]

@@ -13,14 +13,12 @@ import pytest
 
 import stereogs
 from tests.data import data_folder
-from tests.host import load_protocol, protocol_names
+from tests.host import load_protocol, protocol_names, protocol_pipeline
 
 nerfbaselines = pytest.importorskip("nerfbaselines")
 
 from nerfbaselines.datasets import download_dataset, load_dataset  # noqa: E402
 from nerfbaselines.evaluation import build_evaluation_protocol  # noqa: E402
-
-from stereogs.nerfbaselines.protocols import pipeline_of  # noqa: E402
 
 
 def prepared(protocol: str, scene: str, folder: Path) -> Path:
@@ -49,7 +47,7 @@ def test_every_protocol_is_a_dataset() -> None:
 def test_a_dataset_equals_the_scene_of_a_pipeline_with_the_protocol(
     protocol: str, folder: str, scene: str, tmp_path: Path
 ) -> None:
-    expected = stereogs.load_scene(pipeline_of(protocol, data_folder(folder)))
+    expected = stereogs.load_scene(protocol_pipeline(protocol, data_folder(folder)))
     made = prepared(protocol, scene, tmp_path / "made")
     for split, views in (("train", expected.train), ("test", expected.test)):
         dataset = load_dataset(str(made), split, features=frozenset(("color", "points3D_xyz")))
@@ -100,7 +98,7 @@ def test_missing_files_and_folders_are_explained(
         prepared("llff-3", "fern", tmp_path / "made")
     (tmp_path / "llff_fern").mkdir()
     with pytest.raises(
-        nerfbaselines.DatasetNotFoundError, match="does not have the layout of llff or colmap"
+        nerfbaselines.DatasetNotFoundError, match="a folder with the layout of llff, colmap"
     ):
         prepared("llff-3", "fern", tmp_path / "made")
     monkeypatch.delenv("STEREOGS_DATA")

@@ -228,19 +228,49 @@ def test_ready_programs_are_complete(folder: Path, monkeypatch: pytest.MonkeyPat
         assert trial.program.points == {"use": "sfm", "source": "triangulate"}
 
 
-def test_a_state_is_the_last_complete_one() -> None:
-    now = [2.0]
-    copies = []
+def snapshots_of(budgets: list[float], times: list[float]) -> tuple[Snapshots[float], list[float]]:
+    """Snapshots of states that are complete at these times, and when states were copied."""
+    copies: list[float] = []
+    now = [0.0]
 
     def copy() -> float:
         copies.append(now[0])
         return now[0]
 
-    taken = Snapshots([1.0, 3.0, 4.0, 9.0], copy)
-    for step in range(25):
-        now[0] = 2 + 0.125 * step
+    taken = Snapshots(budgets, copy)
+    for now[0] in times:
         taken.complete(now[0])
+    return taken, copies
+
+
+def test_a_state_is_the_last_complete_one() -> None:
+    times = [2 + step / 256 for step in range(769)]
+    taken, copies = snapshots_of([1.0, 3.0, 4.0, 9.0], times)
     # The initial state came too late for the first budget; training ended before the last one.
     assert taken.kept == {3.0: (3.0, 3.0), 4.0: (4.0, 4.0)}
     assert taken.seconds == 5.0
-    assert copies == [2.0, 2.75, 2.875, 3.0, 3.75, 3.875, 4.0]
+    assert len(copies) < len(times) / 5
+
+
+def test_an_iteration_that_suddenly_takes_longer_leaves_a_state_that_is_almost_as_new() -> None:
+    times = [2 + step / 256 for step in range(500)]
+    last = times[-1]
+    taken, _ = snapshots_of([4.0], [*times, last + 0.5])
+    assert last < 4.0
+    assert last - 0.01 * 4.0 <= taken.kept[4.0].seconds <= last
+
+
+def test_equal_bits_are_unknown_without_hashes(folder: Path) -> None:
+    """Another program that renders by itself leaves no Gaussians to compare."""
+    benchmark = described(folder, "repeats: 1", "repeats: 2")
+    for hashes, shown in ((["a", "a"], "yes"), (["a", "b"], "no"), ([None, None], "-")):
+        records = {
+            trial: {
+                "end": {"test": {"psnr": 20.0}, "seconds": 1.0, "unavailable": {}},
+                "budgets": {},
+                "hash": hashes[trial.repeat],
+            }
+            for trial in benchmark.trials
+        }
+        (noise,) = (t for t in tables(benchmark, records) if t.title.startswith("noise"))
+        assert [row[2].text for row in noise.rows] == [shown, shown]

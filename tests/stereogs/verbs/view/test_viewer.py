@@ -165,7 +165,7 @@ def test_gaussians_are_selected_deleted_and_saved(subject: Subject, tmp_path: Pa
         press("Delete", f"0 selected, {visible} deleted")
         serve_until(viewer, received, lambda: green(received.picture) < 20)
         click(page, (0.75, 0.5), "shift")
-        done("There is no surface.")
+        done("Nothing is there: click on a surface.")
         change(page, received.controls["Ball, % of distance"], 15.0)
         click(page, (0.25, 0.5), "shift")
         serve_until(viewer, received, lambda: selected(received) in range(1, 20))
