@@ -251,11 +251,15 @@ def _as_pose(matrix: Any) -> Tensor:
         raise CameraError("world_to_camera contains a value that is not finite", where=where)
     rotation = pose[:3, :3]
     residual = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max()
-    if residual > 1e-3 or torch.linalg.det(rotation) < 0:
+    mirrored = torch.linalg.det(rotation) < 0
+    if residual > 1e-3 or mirrored:
+        why = "mirrored" if mirrored else f"residual {residual:.2g}"
         raise CameraError(
-            f"the 3x3 block of world_to_camera is not a rotation (residual {residual:.2g})",
+            f"the 3x3 block of world_to_camera is not a rotation ({why})",
             where=where,
-            fix="remove scale or mirroring from the pose",
+            fix="write right-handed axes: x right, y down, z forward"
+            if mirrored
+            else "remove the scale from the pose",
         )
     if (pose[3] - torch.tensor([0.0, 0, 0, 1])).abs().max() > 1e-3:
         raise CameraError(

@@ -17,6 +17,8 @@ FEW_POINTS = 100
 FEW_POINTS_IN_VIEW = 30
 SMALL_BASELINE = 0.01
 """In units of the scene's depth; the error of triangulated depths is then as large as the depths."""
+EQUAL_DIGITS = 8
+"""Camera centres that differ by less, relative to their coordinates, may differ by rounding only."""
 WIDE_ANGLE = 45.0
 """Degrees between two views; features are rarely matched beyond."""
 
@@ -58,6 +60,12 @@ def _about_points(scene: Scene) -> Iterator[str]:
 def _about_baselines(scene: Scene) -> Iterator[str]:
     if len(scene.train) == 1:
         yield "depth cannot be estimated from a single training view"
+    elif _differ_by_rounding(scene.train):
+        yield (
+            f"the centres of all training cameras are equal to {EQUAL_DIGITS} digits: if they differ by "
+            "rounding only, the photographs are from one position and contain no depth"
+        )
+        return
     depth = typical_depth(scene)
     for first, second in combinations(scene.train, 2):
         baseline = float((first.camera.center - second.camera.center).norm())
@@ -66,6 +74,12 @@ def _about_baselines(scene: Scene) -> Iterator[str]:
                 f"the training views {first.name} and {second.name} were taken from nearly one place: "
                 f"{baseline / depth:.2%} of the scene's depth apart"
             )
+
+
+def _differ_by_rounding(views: Sequence[View]) -> bool:
+    centers = torch.stack([view.camera.center for view in views])
+    spread = (centers - centers[0]).abs().max()
+    return bool(spread < 10.0**-EQUAL_DIGITS * centers.abs().max())
 
 
 def _about_angles(scene: Scene) -> Iterator[str]:

@@ -109,7 +109,7 @@ class Lens:
         """Check the numbers.
 
         Raises:
-            SceneError: One is not finite, or not positive where it must be.
+            SceneError: One is not finite, or not positive where it must be; or the principal point is (0, 0).
         """
         positive = {
             "focal length fx": self.fx,
@@ -131,6 +131,12 @@ class Lens:
             )
         if problems:
             raise SceneError(problems[0], where=where, fix="restore the camera file")
+        if self.cx == self.cy == 0:
+            raise SceneError(
+                "the principal point (cx, cy) is the corner (0, 0) of the image, as if nobody had set it",
+                where=where,
+                fix="write cx and cy in pixels; in transforms.json, leave both out for the centre",
+            )
 
 
 def import_pycolmap(least_severity: int = 2) -> Any:

@@ -25,8 +25,8 @@ KINDS = (*COMPONENTS, COMMAND)
 PRIOR = "prior"
 OWN = "own"
 CAPABILITIES = (
-    *("stereo_disparity", "monocular_depth", "multi_view_depth", "posed_depth", "normals"),
-    *("gaussians", OWN),
+    *("stereo_disparity", "monocular_depth", "multi_view_depth", "posed_depth", "normals", "masks"),
+    *("gaussians", "optical_flow", "matches", OWN),
 )
 """What a prior estimates, the usual one first; `own` is a capability that only its package knows."""
 

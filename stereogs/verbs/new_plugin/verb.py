@@ -16,7 +16,8 @@ kinds:
   perturbation, metric, exporter, report, observer, command
 
 capabilities of a prior:
-  stereo_disparity, monocular_depth, multi_view_depth, posed_depth, normals, gaussians, own
+  stereo_disparity, monocular_depth, multi_view_depth, posed_depth, normals, masks, gaussians,
+  optical_flow, matches, own
 
 examples:
   stereogs new-plugin solid --kind regularizer

@@ -207,6 +207,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "zero width": (patch("cameras.bin", 16, "<Q", 0), "image width is 0"),
     "other shape": (patch("cameras.bin", 16, "<Q", 200), "another shape"),
     "negative focal": (patch("cameras.bin", 32, "<d", -5.0), "focal length fx is -5"),
+    "centre at a corner": (patch("cameras.bin", 48, "<16s", bytes(16)), "the principal point"),
     "nan focal": (patch("cameras.bin", 32, "<d", NAN), "focal length fx is nan"),
     "tiny focal": (patch("cameras.bin", 32, "<d", 1e-9), "focal length fx is 1e-09 px"),
     "nan principal point": (patch("cameras.bin", 48, "<d", NAN), "not finite"),

@@ -303,8 +303,13 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "short matrix": (first_frame(transform_matrix=[[1, 0, 0, 0]]), "transform_matrix"),
     "mirrored": (
         first_frame(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
-        "not a rotation",
+        "not a rotation (mirrored)",
     ),
+    "scaled": (
+        first_frame(transform_matrix=np.diag([1.3, 1.3, 1.3, 1]).tolist()),
+        "not a rotation (residual 0.69)",
+    ),
+    "centre at a corner": (lambda c: c.update(cx=0, cy=0.0), "the principal point (cx, cy) is"),
     "one frame twice": (lambda c: c["frames"].append(c["frames"][0]), "2 frames have the photo"),
 }
 
