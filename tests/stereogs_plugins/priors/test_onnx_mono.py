@@ -117,9 +117,8 @@ def test_depth_of_metric3d_is_metric_with_the_focal_length(tmp_path: Path) -> No
     assert torch.allclose(own.values, torch.tensor(205.0 * 4 * 50 / 1000))
 
 
-def test_an_image_of_other_proportions_has_a_border_of_the_mean_colour(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def inputs_of_graphs(monkeypatch: pytest.MonkeyPatch) -> list[Tensor]:
+    """A list that grows by each input of a graph."""
     given: list[Tensor] = []
     run = OnnxModel.run
 
@@ -128,6 +127,13 @@ def test_an_image_of_other_proportions_has_a_border_of_the_mean_colour(
         return run(self, inputs)
 
     monkeypatch.setattr(OnnxModel, "run", watched)
+    return given
+
+
+def test_an_image_of_other_proportions_has_a_border_of_the_mean_colour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = inputs_of_graphs(monkeypatch)
     rows = torch.linspace(0.2, 0.8, 154)[:, None, None].expand(154, 154, 3)
     found = mono(metric3d(tmp_path / "m.onnx"), family="metric3d_v2").depth(rows)
     assert torch.allclose(given[0][0, :, 0, 0], torch.tensor([123.675, 116.28, 103.53]), atol=1e-3)
@@ -202,14 +208,7 @@ def test_depth_anything_3_with_one_view(tmp_path: Path, views: tuple[int | str, 
 
 def test_resizing_is_bicubic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which overshoots beside an edge, though never beyond black and white."""
-    given: list[Tensor] = []
-    run = OnnxModel.run
-
-    def watched(self: OnnxModel, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
-        given.extend(inputs.values())
-        return run(self, inputs)
-
-    monkeypatch.setattr(OnnxModel, "run", watched)
+    given = inputs_of_graphs(monkeypatch)
     prior = mono(graphs.mono(tmp_path / "m.onnx"), family="dpt")
     for dark, bright in ((0.3, 0.7), (0.0, 1.0)):
         image = torch.full((30, 40, 3), dark)
