@@ -6,13 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from registry import PluginError
+from registry.toolkit.networks import KeypointNetworks, OnnxModel
 from registry.toolkit.photos import evenly_spaced, read_colmap_model
 from stereogs_plugins.scenes.dtu.cameras import calibrated
+from stereogs_plugins.scenes.photos.photogrammetry.colmap import image_name, mask_of
 from stereogs_plugins.scenes.photos.photogrammetry.learned_matches import (
     FOLDER,
     KNOWN,
+    _keypoints,
     add_learned_matches,
     known_files,
 )
@@ -49,6 +53,30 @@ def test_what_is_obtained_is_known() -> None:
     written, earlier = ({f"{FOLDER}/{name}": sha for name, sha in names.items()} for names in KNOWN)
     assert source.writes == written
     assert network.earlier == tuple(earlier)
+
+
+@pytest.mark.proof
+def test_no_keypoint_is_where_a_mask_is_black(tmp_path: Path) -> None:
+    models_folder("aliked_lightglue")
+    files = known_files()
+    assert files is not None
+    hashes = {name: sha256 for names in KNOWN for name, sha256 in names.items()}
+    networks = KeypointNetworks(*(OnnxModel(f, hashes[f.name]) for f in files), multiple=1)
+    picture = tmp_path / "images" / image_name(0)
+    picture.parent.mkdir()
+    with Image.open(sorted((data_folder("llff_fern") / "images_8").iterdir())[0]) as opened:
+        opened.convert("RGB").save(picture)
+        mask = Image.new("L", opened.size, 255)
+    whole = _keypoints(networks, picture)
+    mask.paste(0, (0, 0, mask.width // 2, mask.height))
+    mask_of(picture).parent.mkdir()
+    mask.save(mask_of(picture))
+    half = _keypoints(networks, picture)
+    right = whole.points[:, 0] >= mask.width // 2
+    assert right.float().mean() < 0.9
+    assert half.points[:, 0].min() >= mask.width // 2
+    assert len(half.points) >= right.sum()
+    assert len(half.points) == half.normalized.shape[1] == half.descriptors.shape[1]
 
 
 def place(photos: list[UnposedPhoto], count: int, folder: Path) -> Reconstruction:
