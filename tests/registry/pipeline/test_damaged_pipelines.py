@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
+from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
 
@@ -181,7 +183,16 @@ def test_there_are_more_than_a_hundred() -> None:
     assert len(DAMAGED) > 100
 
 
-@pytest.mark.no_cover  # measuring coverage takes more time than the answer
+@pytest.fixture
+def untraced() -> Iterator[None]:
+    """The time without that of measuring coverage, which is longer."""
+    trace = sys.gettrace()
+    sys.settrace(None)
+    yield
+    sys.settrace(trace)
+
+
+@pytest.mark.usefixtures("untraced")
 @pytest.mark.parametrize(("text", "line"), DAMAGED.values(), ids=list(DAMAGED))
 def test_each_is_refused_with_its_line_and_a_suggestion(
     text: str, line: int, plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
