@@ -42,7 +42,7 @@ def planned(folder: Path) -> PlannedRun:
 
 def trained(run: PlannedRun, folder: ExperimentFolder, device: Device) -> Outcome[PlannedRun]:
     """Train with the runner as a plugin offers it."""
-    settings = SubmititSettings(cluster="local", cores=1, minutes=5)
+    settings = SubmititSettings.model_validate({"cluster": "local", "cores": 1, "minutes": 5})
     runner = Submitit(settings, Context("submitit", 0, device))
     offer = Offer(RUNNER, "submitit", Submitit, "submitit", "a package", "1")
     item = Item("submitit", settings, HostSettings(use="submitit"), offer, Place("a test"))
