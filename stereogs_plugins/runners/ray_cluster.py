@@ -11,7 +11,6 @@ import io
 import itertools
 import json
 import os
-import signal
 import subprocess
 import sys
 import tarfile
@@ -307,7 +306,7 @@ def _followed(job: Job, board: Any) -> int:
     while process.poll() is None:
         # Without waiting: a task that waits for Ray lends its cores to another.
         if not asked and ray.wait([stop], timeout=0)[0]:
-            process.send_signal(signal.SIGINT)
+            process.terminate()  # processes of Ray block SIGINT
             asked = True
         board.report.remote(job.name, _share(job.run))
         time.sleep(_POLL_SECONDS)
