@@ -12,12 +12,12 @@ from stereogs_plugins.scenes.photos.photogrammetry.dense.depth import (
 )
 
 
-def test_a_darker_picture_gives_and_confirms_the_depth() -> None:
+def test_a_picture_of_other_brightness_gives_and_confirms_the_depth() -> None:
     """A wall at depth 4, seen from two places that are eight pixels apart."""
     wall = torch.rand(32, 72, generator=torch.Generator().manual_seed(0))
     poses = [torch.eye(4), torch.eye(4)]
     poses[1][0, 3] = -0.8
-    pictures = wall[:, :64], 0.5 * wall[:, 8:]
+    pictures = 0.5 * wall[:, :64], wall[:, 8:]
     here, there = (
         PinholePhoto(picture, Camera.centered(pose, 40.0, 64, 32), (2.0, 8.0), None)
         for picture, pose in zip(pictures, poses, strict=True)
