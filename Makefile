@@ -10,6 +10,9 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
+# PoCL from pip does not know the newest processors; Intel's runtime, also from pip, does.
+BUILDS := import torch, core_rasterizer as engine; engine.list_devices()[0].program(dtype=torch.float32)
+
 RELEASE := $(if $(TORCH_INDEX),PIP_EXTRA_INDEX_URL=$(TORCH_INDEX)) $(BIN)/python -m tests.release
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
@@ -168,6 +171,9 @@ $(VENV)/.runtime: pyproject.toml core_rasterizer/pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) (a few minutes the first time)"
 	$(PIP) --editable ./core_rasterizer --editable '.[video]'
+	@$(BIN)/python -c '$(BUILDS)' 2> /dev/null || { \
+		echo "no installed OpenCL driver builds kernels for this processor: adding Intel's runtime"; \
+		$(PIP) --editable './core_rasterizer[intel]'; }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
