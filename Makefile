@@ -91,9 +91,10 @@ cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker 
 	$(PIP) --editable '.[dev,cluster]'
 	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
 
-lint: $(VENV)/.dev ## ruff: rules and format; workflow files by their schema
+lint: $(VENV)/.dev ## rules and format of Python, format of kernels, workflow files by their schema
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror core_rasterizer/*/kernels/*.cl
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
