@@ -141,13 +141,16 @@ class Parts:
             return replace(known, item=item)
         if item.point is not SCENE:
             return build_part(item, seed, self.device)
-        return build_part(item, seed, self.device, priors=lambda base: self._priors(base))
+        return build_part(item, seed, self.device, priors=self._priors)
 
     def _priors(self, base: type[Any]) -> Mapping[str, Prior[Any]]:
-        """The priors of a base class by name; no others are constructed."""
+        return {part.item.name: part.component for part in self.priors_of(base)}
+
+    def priors_of(self, base: type[Any]) -> list[Part]:
+        """Return the priors of a base class; no others are constructed."""
         built = {part.item.name: part for part in self._parts.get("priors", ())}
         items = [i for i in self.pipeline.items["priors"] if issubclass(i.offer.component, base)]
-        return {item.name: (built.get(item.name) or self._part(item)).component for item in items}
+        return [built.get(item.name) or self._part(item) for item in items]
 
     def __iter__(self) -> Iterator[Part]:
         return (part for section in self.pipeline.items for part in self[section])

@@ -108,8 +108,7 @@ def load_run(
     with explain_misfit(place):
         gaussians = Gaussians(**checkpoint.part("model"))
         model = new_model(gaussians, pipeline.training, device)
-    _check_hash(folder, checkpoint.iteration, model.digest())
-    return Run(
+    run = Run(
         pipeline,
         parts,
         scene,
@@ -123,6 +122,8 @@ def load_run(
         saved_iteration=checkpoint.iteration,
         photographs=complete,
     )
+    _check_hash(folder, run.iteration, run.hash)
+    return run
 
 
 def _scene_of(

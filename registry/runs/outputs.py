@@ -119,7 +119,7 @@ def _refuse_overwritten_inputs(run: TrainedScene, folder: RunFolder) -> None:
 
 def _scored(run: TrainedScene, folder: RunFolder, before: dict[str, Any]) -> Results:
     """Score both splits, draw pictures into the folder (`evaluate`), and return updated results."""
-    described = describe(run.pipeline, run.scene, run.engine_model, run.iteration)
+    described = describe(run)
     results = Results.model_validate({**before, **described.plain()})
     results.packages = {**before.get("packages", {}), **results.packages}
     results.changed_inputs = folder.inputs()[1]
@@ -162,7 +162,7 @@ def _report(
     run: TrainedScene, folder: RunFolder, reports: Sequence[Part]
 ) -> tuple[list[str], list[Failure]]:
     progress("page")
-    return _outputs(folder, reports, lambda: (folder.path, copied(run.framed)))
+    return _outputs(folder, reports, lambda: (folder.path, copied(run.trained_on)))
 
 
 def _outputs(

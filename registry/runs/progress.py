@@ -125,8 +125,8 @@ class Observers:
         """Notify each that the run begins or is resumed."""
         if not self._parts:
             return
-        run, scene = self._run, self._run.framed.for_training()
-        facts = describe(run.pipeline, run.scene, run.engine_model, run.iteration).plain()
+        run, scene = self._run, self._run.trained_on.for_training()
+        facts = describe(run).plain()
         for part in self._parts:
             event = RunStarted(
                 title=run.folder.path.name if run.folder else run.pipeline.name,

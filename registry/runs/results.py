@@ -21,11 +21,10 @@ from ..pipeline.settings_check import recorded
 from ..system.files import jsonable
 
 if TYPE_CHECKING:
-    from core_rasterizer import Model
-
     from ..contract.scene import Scene
-    from ..pipeline.pipeline import Item, Pipeline
+    from ..pipeline.pipeline import Item
     from .evaluation import Scores
+    from .trained_scene import TrainedScene
 
 RENDERS = "renders"
 EXPORTS = "exports"
@@ -137,22 +136,23 @@ class Results(Record):
         return self.model_dump(exclude_unset=True)
 
 
-def describe(pipeline: Pipeline, scene: Scene, model: Model, iteration: int) -> Results:
+def describe(run: TrainedScene) -> Results:
     """Return results with what was trained on what, without scores and times."""
     from .origin import describe_device, foreign_package
 
+    pipeline, model = run.pipeline, run.engine_model
     packages = {item.qualified_name: foreign_package(item.offer) for item in pipeline}
     return Results(
         pipeline=pipeline.name,
         protocol=pipeline.protocol.record() if pipeline.protocol else None,
-        scene=_scene(scene),
+        scene=_scene(run.scene),
         metrics=_metrics(pipeline.items["metrics"]),
         packages={name: package for name, package in packages.items() if package},
         device=describe_device(model.engine.device),
         seed=pipeline.training.seed,
-        iterations=iteration,
+        iterations=run.iteration,
         gaussians=model.count,
-        hash=model.digest(),
+        hash=run.hash,
     )
 
 

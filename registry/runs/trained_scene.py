@@ -30,6 +30,7 @@ from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
 from ..training.gradients import FEATURES
 from ..training.placed import PlacedConfidence, PlacedGaussians
+from ..training.prior_masks import with_prior_masks
 from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, evaluate, quick
 
@@ -100,6 +101,11 @@ class TrainedScene:
         """The scene in the frame of training."""
         return self.scene.in_frame(self.frame)
 
+    @cached_property
+    def trained_on(self) -> Scene:
+        """`framed` with the masks of the pipeline's priors (`MaskPrior`), as training sees it."""
+        return with_prior_masks(self.framed, self.parts)
+
     @property
     def finished(self) -> bool:
         """Whether the last iteration of the pipeline is complete."""
@@ -107,8 +113,8 @@ class TrainedScene:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the Gaussians, equal for equal bits."""
-        return self.engine_model.digest()
+        """SHA-256 of the Gaussians and their features, equal for equal bits."""
+        return self.exported.digest()
 
     @property
     def kinds(self) -> dict[str, Tensor]:
@@ -121,7 +127,8 @@ class TrainedScene:
     @property
     def features(self) -> dict[str, Tensor]:
         """Numbers per Gaussian that components train or keep, `[N]` by `NAME_CHANNEL`."""
-        if all(item.offer.component.features is Component.features for item in self.pipeline):
+        offered = [item.offer.component.features for item in self.pipeline]
+        if not self.pipeline.missing and set(offered) == {Component.features}:
             return {}
         saved = self.checkpoint().part(f"parameters/{FEATURES}")
         return {
@@ -156,7 +163,7 @@ class TrainedScene:
     def trained(self) -> Trained:
         """The Gaussians and what they were trained on, in the frame of training; of the inputs, copies."""
         maps = maps_of(self.checkpoint().part("maps"))
-        inputs = copied((self.framed.for_training(), maps, self.kinds))
+        inputs = copied((self.trained_on.for_training(), maps, self.kinds))
         return Trained(GaussianReader(self.engine_model), *inputs, self._confidence)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 
@@ -26,8 +27,16 @@ class PlacedGaussians(GaussianReader):
         self._frame = frame
 
     def digest(self) -> str:
-        """Return the SHA-256 of all parameters in the frame of training, hexadecimal: `Run.hash`."""
-        return self._model.digest()
+        """Return the SHA-256 of all parameters in the frame of training, hexadecimal: `Run.hash`.
+
+        If there are attributes, it covers them too.
+        """
+        if not self.attributes:
+            return self._model.digest()
+        hasher = hashlib.sha256(self._model.digest().encode())
+        for name, values in sorted(self.attributes.items()):
+            hasher.update(f"{name} {values.dtype} ".encode() + values.detach().numpy().tobytes())
+        return hasher.hexdigest()
 
     def read(self, name: str) -> Tensor:
         """Return one parameter; see `GaussianReader.read`."""

@@ -17,8 +17,7 @@ def with_prior_masks(scene: Scene, parts: Parts) -> Scene:
     Raises:
         PluginError: a prior failed, or no pixel of a photograph is left.
     """
-    priors = [part for part in parts["priors"] if isinstance(part.component, MaskPrior)]
-    for part in priors:
+    for part in parts.priors_of(MaskPrior):
         views = tracked(list(scene.train), "masks")
         scene = replace(scene, train=tuple(_masked(view, part) for view in views))
     return scene

@@ -169,3 +169,19 @@ def test_files_hold_the_features(device: Device, tmp_path: Path) -> None:
     assert torch.equal(number, run.features["number_0"])
     assert {"label_0", "label_1", "number_0"} <= {p.name for p in columns.properties}
     assert torch.tensor(columns["label_1"]).any()
+
+
+def test_the_hash_of_a_run_covers_the_features(device: Device) -> None:
+    settings = TrainingSettings(iterations=2, sh_degree=0)
+
+    def trained(*items: Item) -> stereogs.Run:
+        return stereogs.train(
+            pipeline_of([*items], settings), scene=tiny_scene(), device=device, progress=False
+        )
+
+    plain = trained()
+    slow, fast = (
+        trained(pipeline_item(Labels, LabelSettings(rate=rate), "labels")) for rate in (0.01, 0.05)
+    )
+    assert slow.engine_model.digest() == fast.engine_model.digest() == plain.hash
+    assert len({plain.hash, slow.hash, fast.hash}) == 3

@@ -93,6 +93,11 @@ def test_a_masked_object_does_not_spoil_the_rest(
     assert FindIntruder.calls == calls + 2  # from the cache
     assert again.hash == masked.hash
     assert all(view.weights is None for view in masked.scene.train)
+    for seen in (masked.trained.scene, masked.trained_on.for_training()):  # confidence and reports
+        for view in seen.train:
+            assert view.weights is not None
+            assert (view.image - INTRUDER).abs().amax(dim=2).min() > 0.01
+    assert FindIntruder.calls == calls + 2
 
 
 def test_scores_count_the_object(device: Device) -> None:
