@@ -11,7 +11,7 @@ from ..contract.hook_points import LOSS, OPTIMIZER, RENDER
 from ..contract.prior import chosen_prior
 from ..contract.rendered import COLLECTED, RENDERED, Rendered
 from ..errors import PluginError
-from ..messages.suggestions import did_you_mean
+from ..messages.suggestions import counted, did_you_mean
 from .pipeline import Item, Pipeline, default_schedule
 from .settings_check import leaves, paths_of
 
@@ -30,6 +30,11 @@ def faults(pipeline: Pipeline) -> list[str]:
         found += [(item, f"{shown} does not exist{hint}") for shown in missing]
         if item.point.scheduled and (fault := _schedule_fault(item, pipeline.training.iterations)):
             found.append((item, f"{fault} ({item.place})"))
+    for item, earlier, both in _spent_statistics(rendered_for(pipeline), pipeline):
+        if not _never_read(item, earlier, both, pipeline.training.iterations):
+            what = f"is left out in {counted(len(both), 'iteration')}, first {min(both)}, in which "
+            what += f"the edit of {earlier.name!r} resets the screen gradients that it reads"
+            found.append((item, f"{what} ({item.place})"))
     unmet = (*_prior_faults(pipeline), *rendered_faults(pipeline))
     found += [(item, error.what) for item, error in unmet]
     return [f"{item.qualified_name}: {fault}" for item, fault in found]
@@ -86,7 +91,12 @@ def rendered_faults(pipeline: Pipeline) -> Iterator[tuple[Item, PluginError]]:
         for name in names:
             if fault := _unavailable(item, name, pipeline.training.fields):
                 yield item, PluginError(fault[0], where=str(item), fix=fault[1])
-    yield from _spent_statistics(pipeline, asking)
+    for item, earlier, both in _spent_statistics(asking, pipeline):
+        if _never_read(item, earlier, both, pipeline.training.iterations):
+            what = f"it needs screen gradients, but in each of its iterations, first {min(both)}, "
+            what += f"the edit of {earlier.name!r} at {earlier.place} resets them before"
+            fix = "list it first, or give one of them another `phase`"
+            yield item, PluginError(what, where=str(item), fix=fix)
 
 
 def _unavailable(item: Item, name: str, fields: int) -> tuple[str, str] | None:
@@ -115,25 +125,25 @@ def _unavailable(item: Item, name: str, fields: int) -> tuple[str, str] | None:
 
 
 def _spent_statistics(
-    pipeline: Pipeline, asking: Sequence[tuple[Item, tuple[Rendered, ...]]]
-) -> Iterator[tuple[Item, PluginError]]:
-    """Yield each policy that reads statistics in an iteration in which an earlier one's edit resets them."""
+    asking: Sequence[tuple[Item, tuple[Rendered, ...]]], pipeline: Pipeline
+) -> Iterator[tuple[Item, Item, set[int]]]:
+    """Yield (reader, earlier policy, iterations in which the earlier's edit resets what the reader reads)."""
     reading = [item for item, names in asking if COLLECTED & {*names}]
     policies = pipeline.items["densification"]
     for number, item in enumerate(policies):
         for earlier in policies[:number] if item in reading else ():
             dues = ({*of.schedule.due_in(pipeline.training.iterations)} for of in (earlier, item))
-            both = set.intersection(*dues)
-            if both:
-                yield (
-                    item,
-                    PluginError(
-                        f"it needs screen gradients in iteration {min(both)}, but the edit of "
-                        f"{earlier.name!r} at {earlier.place} resets them before",
-                        where=str(item),
-                        fix="list it first, or give one of them another `phase`",
-                    ),
-                )
+            if both := set.intersection(*dues):
+                yield item, earlier, both
+
+
+def _never_read(item: Item, earlier: Item, both: set[int], iterations: int) -> bool:
+    """Return whether a policy never reads statistics because of an earlier one.
+
+    Shares of a run of a few iterations are rounded so that the earlier is due in every one, which is no
+    mistake of the pipeline.
+    """
+    return len(both) == len(item.schedule.due_in(iterations)) and earlier.schedule.every > 1
 
 
 def needs(component: type[Component[Any]]) -> list[tuple[str, ...]]:

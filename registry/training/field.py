@@ -270,13 +270,16 @@ class Field:
 
     def change_topology(self) -> None:
         """Apply the densification policies."""
-        self._edited = False
+        self._edited = spent = False
         iteration = self._step.iteration
         for part in self.parts.due("densification", iteration):
+            if spent and part.declared & COLLECTED:  # what it reads was reset
+                continue
             count = self.model.count
             wanted: Edit | None = self.call(part)
             if wanted is None:
                 continue
+            spent = True
             edit = self._within_limits(wanted)
             if edit.empty:
                 self.model.statistics.reset()

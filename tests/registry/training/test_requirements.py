@@ -22,6 +22,7 @@ from tests.host import (
     Parts,
     Pipeline,
     TrainingSettings,
+    faults,
     pipeline_item,
     pipeline_of,
     refuse_unmet_needs,
@@ -221,11 +222,28 @@ def test_needs_that_cannot_be_met_are_refused(
 
 def test_statistics_that_an_earlier_policy_resets_are_refused() -> None:
     edits = item(Policy, "edits", every=2)
-    reader = item(Policy, "reader", "screen_gradient", every=3)
-    with pytest.raises(r.PluginError, match="in iteration 6, but the edit of 'edits'") as caught:
+    reader = item(Policy, "reader", "screen_gradient", every=4)
+    with pytest.raises(
+        r.PluginError, match="its iterations, first 4, the edit of 'edits'"
+    ) as caught:
         refuse_unmet_needs(pipeline(edits, reader))
     assert "list it first" in caught.value.fix
     refuse_unmet_needs(pipeline(reader, edits))
+
+
+@pytest.mark.parametrize(("every", "met"), [(3, 6), (1, 1)])
+def test_a_policy_is_left_out_where_an_earlier_one_reset_its_statistics(
+    device: Device, every: int, met: int
+) -> None:
+    """Shares of a short run meet; the policy acts in the other iterations, and a line says so."""
+    edits = item(Policy, "edits", every=2 if every > 1 else 1)
+    reader = item(Policy, "reader", "screen_gradient", every=every)
+    (line,) = faults(pipeline(edits, reader))
+    assert f"first {met}, in which the edit of 'edits' resets" in line
+    assert not faults(pipeline(reader, edits))
+    _, logs = trained(device, edits, reader)
+    due = [k for k, log in enumerate(logs, start=1) if "reader_screen_gradient" in log]
+    assert due == [k for k in range(1, len(logs) + 1) if k % every == 0 and k % 2 and every > 1]
 
 
 def test_an_engine_without_absolute_gradients_is_refused() -> None:
