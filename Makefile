@@ -4,6 +4,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 VIEWER := stereogs_plugins/reports/html/viewer
 BIN := $(VENV)/bin
+# Without bytecode each of hundreds of processes would compile the sources again.
+unexport PYTHONDONTWRITEBYTECODE
 # Linux machines without an NVIDIA card save about 3 GB with
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
