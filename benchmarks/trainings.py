@@ -163,7 +163,3 @@ class MeasuredProcesses(LocalProcesses):
 class _Measured(TrainingProcess):
     def stop(self) -> None:
         """Wait for its end: a measurement that is stopped and resumed has no time."""
-
-    def progress(self) -> float:
-        """Return 0: the folder has no log of iterations."""
-        return 0.0

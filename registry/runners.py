@@ -8,7 +8,15 @@ from pathlib import Path
 
 from .contract.component import Component, SettingsType
 
-__all__ = ["Runner", "RunningTask", "TrainingTask"]
+__all__ = ["DATA_MISSING", "WORKER", "Runner", "RunningTask", "TrainingTask"]
+
+WORKER = "stereogs.experiments.running.worker"
+"""`python -m WORKER PIPELINE RUN [--device NAME]` trains a pipeline file in a run folder, or resumes it.
+
+Exit status: 0 finished; 130 stopped by SIGINT or SIGTERM, with a checkpoint; `DATA_MISSING`; others failed.
+"""
+DATA_MISSING = 66
+"""Exit status: files or folders that the pipeline names are not on this machine; another may have them."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +49,21 @@ class RunningTask(ABC):
     def failure(self) -> str:
         """Return the training's error message after its end; empty if it succeeded."""
 
+    @property
+    def data_missing(self) -> bool:
+        """Whether it failed because the machine lacks data that others may have."""
+        return False
+
     @abstractmethod
     def stop(self) -> None:
-        """Request its end; its progress may be kept or lost."""
+        """Request its end within eight seconds, with a checkpoint if possible."""
 
     @abstractmethod
     def kill(self) -> None:
         """End it immediately, and wait for the end."""
 
     def progress(self) -> float:
-        """Return the share of its iterations that is complete, 0 if unknown."""
+        """Return the share of its iterations that is complete; 0 to read it from the run folder."""
         return 0.0
 
 

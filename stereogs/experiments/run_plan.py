@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,12 +17,14 @@ from ..command_line.output import console
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from core_rasterizer import Device
     from registry.discovery import Plugins
     from registry.pipeline.yaml_source import Node
 
     from .planning.plan import Plan, PlannedRun
-    from .running.folder import ExperimentFolder, Shard
+    from .running.folder import ExperimentFolder, Peer, Shard
     from .running.pool import Outcome
+    from .running.queue import Queue
     from .showing.scores import Results
 
 INTERRUPTED = 130
@@ -42,7 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser, default_folder: str) -> None:
         metavar="N",
         help="simultaneous trainings (default: as many as cores and memory allow; 1 on a GPU)",
     )
-    parser.add_argument(
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument(
+        "--shared",
+        action="store_true",
+        help="share the runs with processes of the same command, on other machines too if --out is on a "
+        "shared file system; each takes free runs, and those of dead processes",
+    )
+    parts.add_argument(
         "--shard",
         type=shard,
         metavar="I/N",
@@ -78,10 +89,9 @@ def run_plan(
     from core_rasterizer import open_device
     from registry.pipeline.yaml_source import parse
 
-    from .running.folder import ExperimentFolder
+    from .running.folder import ExperimentFolder, Peer
     from .running.local_processes import LocalProcesses
     from .running.pool import choose_runner, train_all
-    from .running.scene_check import check_scenes
 
     if arguments.runner is not None:
         runner = parse(arguments.runner, f"--runner {arguments.runner}", has_lines=False)
@@ -90,7 +100,8 @@ def run_plan(
     folder = ExperimentFolder(arguments.out or Path("runs", f"{plan.kind}-{plan.name}"))
     part_of_runs: Shard | None = arguments.shard
     mine = plan.runs if part_of_runs is None else part_of_runs.of(plan.runs)
-    with folder.locked(part_of_runs) as lock:
+    peer = Peer.here() if arguments.shared else None
+    with folder.locked(peer or part_of_runs) as lock:
         results = {run: folder.results(run) for run in plan.runs}
         waiting = [run for run in mine if not results[run]]
         if isinstance(part.component, LocalProcesses):
@@ -104,14 +115,38 @@ def run_plan(
             f"{'all' if places is None else places} at a time with the runner {part.item.name} "
             f"on {device.name}; writing {folder.path}"
         )
-        with showing(output):
-            doubts = check_scenes(waiting, device, plugins)
-        for doubt in doubts:
-            output.print(f"warning: {doubt}")
-        outcome = train_all(waiting, folder, part, device=arguments.device, console=output)
+        with _queue(waiting, folder, peer, device, plugins) as queue:
+            outcome = train_all(queue, folder, part, device=arguments.device, console=output)
         results = {run: folder.results(run) for run in plan.runs}
         _write(plan, results, folder, output)
     return _exit_status(plan, results, folder, outcome, output)
+
+
+@contextmanager
+def _queue(
+    waiting: Sequence[PlannedRun],
+    folder: ExperimentFolder,
+    peer: Peer | None,
+    device: Device,
+    plugins: Plugins,
+) -> Iterator[Queue[PlannedRun]]:
+    """Yield the queue of a process; `peer` if it shares the folder, otherwise all scenes are loaded first.
+
+    A scene that is not on this machine may be on another.
+    """
+    from .running.queue import Queue, shared
+    from .running.scene_check import check_scenes
+
+    if peer is not None:
+        with shared(waiting, folder, peer) as queue:
+            yield queue
+        return
+    output = console()
+    with showing(output):
+        doubts = check_scenes(waiting, device, plugins)
+    for doubt in doubts:
+        output.print(f"warning: {doubt}")
+    yield Queue(waiting)
 
 
 def _write(plan: Plan, results: Results, folder: ExperimentFolder, output: Console) -> None:

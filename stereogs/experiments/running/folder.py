@@ -4,13 +4,20 @@ runs/NAME_DIGEST/       a run folder; the digest identifies its pipeline
 runs/NAME_DIGEST.yaml   the pipeline that was trained
 runs/NAME_DIGEST.log    the output of the training
 shards/I_OF_N/          the lock of a process with --shard
+peers/PEER/             the lock and the heartbeat of a process with --shared
+claims/DIGEST.N/        who trains a run, see queue.py
 ablation.txt, ablation.tex, ablation.csv, ablation_means.csv, index.html
 """
 
 from __future__ import annotations
 
+import os
+import re
+import socket
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -22,7 +29,7 @@ from registry.system.lock import locked
 
 from ..planning.plan import PlannedRun
 
-RUNS, SHARDS = "runs", "shards"
+RUNS, SHARDS, PEERS = "runs", "shards", "peers"
 Run = TypeVar("Run")
 
 
@@ -35,6 +42,51 @@ class Shard(NamedTuple):
     def of(self, runs: Sequence[Run]) -> Sequence[Run]:
         """Return every `parts`-th run: neighbours, which take about as long, are in different parts."""
         return runs[self.number - 1 :: self.parts]
+
+    @property
+    def path(self) -> Path:
+        """Its folder in the output folder."""
+        return Path(SHARDS, f"{self.number}_of_{self.parts}")
+
+
+class Peer(NamedTuple):
+    """A process that shares the folder with others.
+
+    Args:
+        host: name of its machine, for people.
+        machine: the same for all processes that see each other's locks.
+        process: unique on its machine.
+    """
+
+    host: str
+    machine: str
+    process: str
+
+    @classmethod
+    def here(cls) -> Peer:
+        """Return this process."""
+        try:  # containers of one machine have the same, and the same locks
+            boot = Path("/proc/sys/kernel/random/boot_id").read_text("utf-8")
+        except OSError:
+            boot = f"{socket.gethostname()} {uuid.getnode()}"
+        host = re.sub(r"[^A-Za-z0-9.-]+", "-", socket.gethostname())
+        process = f"{os.getpid()}-{uuid.uuid4().hex[:4]}"
+        return cls(host, sha256(boot.encode()).hexdigest()[:8], process)
+
+    @classmethod
+    def named(cls, name: str) -> Peer:
+        """Return the peer with a name."""
+        return cls(*name.split("_"))
+
+    @property
+    def name(self) -> str:
+        """Unique among all peers."""
+        return "_".join(self)
+
+    @property
+    def path(self) -> Path:
+        """Its folder in the output folder."""
+        return Path(PEERS, self.name)
 
 
 class ExperimentFolder:
@@ -72,18 +124,17 @@ class ExperimentFolder:
         return bool(self.results(planned))
 
     @contextmanager
-    def locked(self, shard: Shard | None = None) -> Iterator[int | None]:
+    def locked(self, part: Shard | Peer | None = None) -> Iterator[int | None]:
         """Lock the folder against other processes; yield a file descriptor for child processes to inherit.
 
-        Processes with different shards may use the folder at the same time, one without a shard only alone.
-        If this process is killed, the lock is held until every child has closed the descriptor, so it also
-        covers trainings whose parent was killed.
+        Processes with different shards or peers may use the folder at the same time, one without either only
+        alone. If this process is killed, the lock is held until every child has closed the descriptor, so it
+        also covers trainings whose parent was killed.
 
         Raises:
             RunError: another process holds the lock, or the folder is not writable.
         """
-        shards = self.path / SHARDS
-        own = self.path if shard is None else shards / f"{shard.number}_of_{shard.parts}"
+        own = self.path if part is None else self.path / part.path
         try:
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
             own.mkdir(parents=True, exist_ok=True)
@@ -94,9 +145,10 @@ class ExperimentFolder:
                 fix="choose another --out",
             ) from error
         with ExitStack() as held:
-            if shard is None:
-                for other in sorted(shards.glob("*_of_*/")):
-                    held.enter_context(locked(other))
+            if part is None:
+                for kind in (SHARDS, PEERS):
+                    for other in sorted((self.path / kind).glob("*_*/")):
+                        held.enter_context(locked(other))
             else:
                 with locked(self.path):
                     pass

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
 
 from pydantic import Field
 
-from core_rasterizer import Device, ExplainedError
+from core_rasterizer import Device
 from registry import Context, Settings
-from registry.discovery import Plugins
-from registry.pipeline.pipeline import parse_pipeline
-from registry.pipeline.training_settings import iterations_of_a_run
-from registry.runners import Runner, RunningTask, TrainingTask
-from registry.runs.folder import METRICS, RunFolder
+from registry.runners import DATA_MISSING, WORKER, Runner, RunningTask, TrainingTask
 from registry.system.cores import usable_cores
 from registry.system.files import write_text
 from registry.system.memory import available_bytes
-from registry.training.checkpoint import CHECKPOINT, load_checkpoint
 
 CORES_PER_RUN = 4
 """A training uses about so many cores; more trainings on fewer cores save no time."""
 MEMORY_PER_RUN_MB = 2000.0
 """Assumed memory of a training until one has been measured."""
-_TAIL_BYTES = 8192
 
 
 class LocalProcessesSettings(Settings):
@@ -39,7 +30,7 @@ class LocalProcessesSettings(Settings):
 
 
 class LocalProcesses(Runner[LocalProcessesSettings]):
-    """Runs `stereogs train` or `stereogs resume` in processes on this machine.
+    """Trains in processes on this machine.
 
     Attributes:
         lock: file descriptor that the processes inherit, or None.
@@ -57,8 +48,10 @@ class LocalProcesses(Runner[LocalProcessesSettings]):
         return self.settings.jobs or default_jobs(self.context.device, self.peaks_mb)
 
     def start(self, task: TrainingTask) -> RunningTask:
-        """Start a process for the task (see `training_arguments`)."""
-        return TrainingProcess(task, ["stereogs", *training_arguments(task)], self.lock)
+        """Start a process for the task (see `worker`)."""
+        pipeline = task.folder.with_name(f"{task.folder.name}.yaml")
+        write_text(pipeline, task.pipeline)
+        return TrainingProcess(task, [WORKER, str(pipeline), str(task.folder)], self.lock)
 
 
 def default_jobs(device: Device, peaks_mb: Iterable[float]) -> int:
@@ -123,20 +116,10 @@ class TrainingProcess(RunningTask):
         self._process.kill()
         self._process.wait()
 
-    def progress(self) -> float:
-        """Return the share of iterations in the log."""
-        try:
-            with (self._task.folder / METRICS).open("rb") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
-                last = file.read().splitlines()[-1]
-            return int(json.loads(last)["iteration"]) / self._iterations
-        except (OSError, ValueError, KeyError, IndexError, TypeError, ZeroDivisionError):
-            return 0.0  # no file yet, or an incomplete line
-
-    @cached_property
-    def _iterations(self) -> int:
-        """The run's length, which may depend on its scene."""
-        return iterations_of_a_run(RunFolder(self._task.folder).pipeline.read_text("utf-8"))
+    @property
+    def data_missing(self) -> bool:
+        """Whether the process found that data is missing."""
+        return self._process.returncode == DATA_MISSING
 
     def failure(self) -> str:
         """Return the error that the process printed; empty if it succeeded."""
@@ -154,28 +137,3 @@ def failure(status: int | None, printed: str) -> str:
     lines = printed.splitlines()
     starts = [i for i, line in enumerate(lines) if line.startswith("stereogs: ")]
     return "\n".join(lines[starts[-1] :] if starts else lines[-1:]) or f"exit status {status}"
-
-
-def training_arguments(task: TrainingTask) -> list[str]:
-    """Return arguments that resume the run if it has a usable checkpoint, otherwise train it from scratch.
-
-    To train from scratch, removes the run folder and writes the pipeline next to it.
-    """
-    if _can_resume(task):
-        return ["resume", str(task.folder)]
-    if task.folder.exists():
-        shutil.rmtree(task.folder)
-    pipeline = task.folder.with_name(f"{task.folder.name}.yaml")
-    write_text(pipeline, task.pipeline)
-    return ["train", str(pipeline), "--out", str(task.folder)]
-
-
-def _can_resume(task: TrainingTask) -> bool:
-    run = RunFolder(task.folder)
-    try:
-        text = run.pipeline.read_text("utf-8")
-        load_checkpoint(run.path / CHECKPOINT)
-        # The texts differ if the length of the run depends on its scene.
-        return text == task.pipeline or parse_pipeline(task.pipeline, Plugins()).wrote(text)
-    except (OSError, UnicodeDecodeError, ExplainedError):
-        return False

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
+from pathlib import Path
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rich.console import Console
@@ -20,19 +23,21 @@ from registry.errors import PipelineError
 from registry.pipeline.edits import expand
 from registry.pipeline.parts import Part, build_part
 from registry.pipeline.pipeline import component_item
+from registry.pipeline.training_settings import iterations_of_a_run
 from registry.pipeline.yaml_source import Node, Place
 from registry.runners import Runner, RunningTask, TrainingTask
+from registry.runs.folder import METRICS, RunFolder
 from registry.system.interrupt import stop_on_interrupt
 
 from .local_processes import LocalProcesses
+from .queue import Planned, Queue, State
 
-Planned = TypeVar("Planned")
-"""A training that is planned, for example a `PlannedRun`."""
 Kept = TypeVar("Kept", contravariant=True)
 LOCAL = "local"
 """Name of the default runner."""
 RUNNER = next(point for point in HOOK_POINTS if point.section == "runner")
 _POLL_SECONDS = 0.2
+_TAIL_BYTES = 8192
 STOP_SECONDS = 8.0
 """Time after Ctrl-C in which a training may finish its iteration and write a checkpoint."""
 
@@ -100,9 +105,14 @@ class Outcome(Generic[Planned]):
     stopped: bool = False
     failures: dict[Planned, str] = field(default_factory=dict)
 
+    def add(self, planned: Planned, state: State | None, failure: str) -> None:
+        """Note the end of a training."""
+        if state not in (None, "stopped"):
+            self.failures[planned] = failure
+
 
 def train_all(
-    waiting: Sequence[Planned],
+    waiting: Sequence[Planned] | Queue[Planned],
     keeper: Keeper[Planned],
     runner: Part,
     *,
@@ -115,14 +125,14 @@ def train_all(
     that go on for `STOP_SECONDS`; a second one kills them at once.
 
     Args:
-        waiting: the unfinished trainings.
+        waiting: the unfinished trainings, or a queue that is shared with other processes.
         keeper: the tasks of the trainings, and the place of their results.
         runner: from `choose_runner`.
         device: as for `--device`.
     """
     active = _ActiveTasks(runner, keeper, device)
-    queue, deadline = deque(waiting), math.inf
-    outcome, progress = Outcome[Planned](), PoolProgress(len(waiting), console)
+    queue = waiting if isinstance(waiting, Queue) else Queue(waiting)
+    outcome, progress, deadline = Outcome[Planned](), PoolProgress(len(queue), console), math.inf
     with stop_on_interrupt() as stop, progress.bar:
         try:
             while queue or active.tasks:
@@ -132,12 +142,17 @@ def train_all(
                     active.stop()
                 if time.monotonic() > deadline:
                     break  # `close` kills them; what they saved before stays
-                while queue and active.has_place:
-                    active.start(queue.popleft())
-                for planned, name, failure in active.take_ended():
-                    if failure and not outcome.stopped:
-                        outcome.failures[planned] = failure
-                    progress.ended(name, "stopped" if failure and outcome.stopped else failure)
+                active.drop(queue.lost())
+                while queue and active.has_place and (planned := queue.take()) is not None:
+                    active.start(planned)
+                for end in active.take_ended():
+                    state = end.state(stopped=outcome.stopped)
+                    if queue.ended(end.planned, state, end.failure):
+                        outcome.add(end.planned, state, end.failure)
+                        progress.ended(end.name, "stopped" if state == "stopped" else end.failure)
+                for planned, failure in queue.take_settled():
+                    outcome.add(planned, "failed" if failure else None, failure)
+                    progress.ended(keeper.task(planned, device).folder.name, failure)
                 progress.show(active.progress)
                 time.sleep(_POLL_SECONDS)
         finally:
@@ -145,10 +160,43 @@ def train_all(
     return outcome
 
 
-class _ActiveTask(NamedTuple, Generic[Planned]):
+@dataclass
+class _ActiveTask(Generic[Planned]):
+    planned: Planned
+    folder: Path
+    task: RunningTask
+
+    def progress(self) -> float:
+        """Return the finished share, of the runner or by the log of iterations in the run folder."""
+        if share := self.task.progress():
+            return share
+        try:
+            with (self.folder / METRICS).open("rb") as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
+                last = file.read().splitlines()[-1]
+            return int(json.loads(last)["iteration"]) / self._iterations
+        except (OSError, ValueError, KeyError, IndexError, TypeError, ZeroDivisionError):
+            return 0.0  # no file yet, or an incomplete line
+
+    @cached_property
+    def _iterations(self) -> int:
+        """The run's length, which may depend on its scene."""
+        return iterations_of_a_run(RunFolder(self.folder).pipeline.read_text("utf-8"))
+
+
+class _End(NamedTuple, Generic[Planned]):
+    """The end of a task, with the training's error, empty after success."""
+
     planned: Planned
     name: str
-    task: RunningTask
+    failure: str
+    data_missing: bool
+
+    def state(self, *, stopped: bool) -> State | None:
+        """Return what a queue is told; `stopped` after Ctrl-C."""
+        if not self.failure:
+            return None
+        return "stopped" if stopped else "not here" if self.data_missing else "failed"
 
 
 class _ActiveTasks(Generic[Planned]):
@@ -170,29 +218,36 @@ class _ActiveTasks(Generic[Planned]):
     def progress(self) -> list[float]:
         """The finished share of each active task."""
         with self._part.at_work():
-            return [active.task.progress() for active in self.tasks]
+            return [active.progress() for active in self.tasks]
 
     def start(self, planned: Planned) -> None:
         task = self._keeper.task(planned, self._device)
         with self._part.at_work():
-            self.tasks.append(_ActiveTask(planned, task.folder.name, self._runner.start(task)))
+            self.tasks.append(_ActiveTask(planned, task.folder, self._runner.start(task)))
 
-    def take_ended(self) -> list[tuple[Planned, str, str]]:
-        """Remove the tasks that have ended; return them with their names and errors, empty after success."""
+    def take_ended(self) -> list[_End[Planned]]:
+        """Remove the tasks that have ended, and return their ends."""
         found = []
         for active in list(self.tasks):
             with self._part.at_work():
                 if not active.task.ended:
                     continue
-                failure = active.task.failure()
+                failure, data_missing = active.task.failure(), active.task.data_missing
             self.tasks.remove(active)
             if not failure and not self._keeper.keep(active.planned):
                 failure = (
                     "it left no results of this pipeline; has a plugin changed since the command "
                     "started?"
                 )
-            found.append((active.planned, active.name, failure))
+            found.append(_End(active.planned, active.folder.name, failure, data_missing))
         return found
+
+    def drop(self, lost: Sequence[Planned]) -> None:
+        """Kill the tasks of trainings that another process has taken over."""
+        for active in [active for active in self.tasks if active.planned in lost]:
+            self.tasks.remove(active)
+            with self._part.at_work():
+                active.task.kill()
 
     def stop(self) -> None:
         with self._part.at_work():

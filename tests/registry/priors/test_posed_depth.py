@@ -135,3 +135,5 @@ def test_a_pointmap_gives_depth_and_focal_length() -> None:
     answer = PosedDepth.from_points(points, camera.world_to_camera, torch.ones(24, 32))
     assert torch.allclose(answer.depth[1:].float(), depth[1:])
     assert torch.allclose(answer.intrinsics, camera.intrinsics)
+    one = PosedDepth.from_points(points[:1, 1:2], camera.world_to_camera, torch.ones(1, 1))
+    assert one.intrinsics.diagonal().tolist() == [1, 1, 1]

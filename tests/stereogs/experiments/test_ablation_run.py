@@ -19,13 +19,13 @@ from rich.console import Console
 
 from core_rasterizer import Device
 from registry import RunError
-from registry.runners import TrainingTask
 from stereogs import RunOptions, open_run
 from stereogs.experiments.planning.plan import PlannedRun
 from stereogs.experiments.running import local_processes, pool
 from stereogs.experiments.running.folder import ExperimentFolder, Shard
-from stereogs.experiments.running.local_processes import LocalProcesses, training_arguments
+from stereogs.experiments.running.local_processes import LocalProcesses
 from stereogs.experiments.running.pool import PoolProgress, choose_runner, train_all
+from stereogs.experiments.running.worker import training_arguments
 from tests.host import SELECTION, MetricsLog, Part, Plugins, main, start_run
 from tests.html_page import Page
 from tests.stereogs.experiments.ablating import plan, write
@@ -161,9 +161,11 @@ def toy_runs(toys: Plugins, folder: Path) -> tuple[PlannedRun, ...]:
     return plan(write(folder), toys, toggles="second").runs
 
 
-def task_of(run: PlannedRun, folder: ExperimentFolder) -> TrainingTask:
-    place = folder.run(run).path
-    return TrainingTask(run.pipeline.to_yaml(), place, place.with_name("log"))
+def arguments_of(run: PlannedRun, folder: ExperimentFolder) -> list[str]:
+    """Return the arguments of the process that would train a run."""
+    pipeline = folder.path / "pipeline.yaml"
+    pipeline.write_text(run.pipeline.to_yaml())
+    return training_arguments(pipeline, folder.run(run).path)
 
 
 def local(device: Device, lock: int | None = None) -> Part:
@@ -202,10 +204,10 @@ def test_an_interrupted_run_resumes_and_a_damaged_one_restarts(
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run)
     assert folder.results(run) == {}
-    assert training_arguments(task_of(run, folder)) == ["resume", str(place.path)]
+    assert arguments_of(run, folder) == ["resume", str(place.path)]
     for file in place.path.glob("checkpoint/*/tensors.safetensors"):
         file.write_bytes(b"damaged")
-    verb, pipeline, *out = training_arguments(task_of(run, folder))
+    verb, pipeline, *out = arguments_of(run, folder)
     assert verb == "train"
     assert out == ["--out", str(place.path)]
     assert Path(pipeline).read_text() == run.pipeline.to_yaml()
@@ -224,7 +226,7 @@ def test_a_run_with_a_length_per_view_is_recognized(
     run = plan(pipeline, Plugins(), toggles="dropout").runs[0]
     train_here(run, folder, device, stop_at=3)
     place = folder.run(run).path
-    assert training_arguments(task_of(run, folder)) == ["resume", str(place)]
+    assert arguments_of(run, folder) == ["resume", str(place)]
     shutil.rmtree(place)
     train_here(run, folder, device)
     assert folder.results(run)["iterations"] == 2 * len(open_run(place, device=device).scene.train)

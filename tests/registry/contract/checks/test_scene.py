@@ -97,6 +97,17 @@ def test_faults_are_refused(scene: Scene, message: str) -> None:
     assert caught.value.fix
 
 
+@pytest.mark.parametrize("name", ["10:20", "a*b", "NUL", "com1.left", "a.", "b "])
+def test_names_that_windows_cannot_have_are_refused_there(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert validate(with_view(name=name))
+    monkeypatch.setattr("sys.platform", "win32")
+    with pytest.raises(SceneError, match="plain file name"):
+        validate(with_view(name=name))
+    assert validate(with_view(name="console.1"))
+
+
 def test_a_valid_scene_is_returned_unchanged() -> None:
     for scene in (
         tiny_scene(),
