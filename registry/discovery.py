@@ -96,6 +96,9 @@ class Plugins:
     def __init__(self, entries: Iterable[EntryPoint] | None = None) -> None:
         self.entries = installed_entries() if entries is None else tuple(entries)
         self.broken: dict[str, PluginError] = {}
+        self._named: dict[str, list[EntryPoint]] = {}
+        for entry in self.entries:
+            self._named.setdefault(offered_name(entry), []).append(entry)
         self._loaded: set[str] = set()
         self._offers: list[Offer] = []
 
@@ -112,7 +115,7 @@ class Plugins:
         package, _, name = name.rpartition("/")
         if point.base is SceneLoader and name == IN_MEMORY:  # of the host, and not listed
             return Offer(point, name, InMemoryScene, "registry", OWN_PACKAGE, version(OWN_PACKAGE))
-        alike = [entry for entry in self.entries if offered_name(entry) == name]
+        alike = self._named.get(name, [])
         if package:
             owners = [_distribution(entry.dist)[0] for entry in alike]
             alike = [e for e, owner in zip(alike, owners, strict=True) if _same(owner, package)]
@@ -188,7 +191,7 @@ class Plugins:
         """Return the error for a name that no plugin offers; `alike` are its loaded entry points."""
         what = f"no plugin offers the {point.title} {name!r}"
         if not alike:
-            known = [offered_name(entry) for entry in self.entries]
+            known = list(self._named)
             return PluginError(
                 f"{what}{did_you_mean(name, known)}",
                 fix="`stereogs plugins` lists all components, and plugins that cannot be loaded"

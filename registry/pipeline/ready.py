@@ -49,8 +49,11 @@ def ready_pipelines() -> Mapping[str, tuple[Path, ...]]:
 def packager(source: str) -> str | None:
     """Return the package that provides a ready pipeline or protocol; None for other files and options."""
     file = Path(source).resolve()
-    for entry in (*entry_points(group=PIPELINES), *entry_points(group=PROTOCOLS)):
-        spec = find_spec(entry.value) if entry.dist and file.suffix in _SUFFIXES else None
+    if file.suffix not in _SUFFIXES:
+        return None
+    installed = entry_points()  # reads the metadata of all packages
+    for entry in (*installed.select(group=PIPELINES), *installed.select(group=PROTOCOLS)):
+        spec = find_spec(entry.value) if entry.dist else None
         folders = (spec and spec.submodule_search_locations) or ()
         if entry.dist and any(Path(folder).resolve() in file.parents for folder in folders):
             return str(entry.dist.name)

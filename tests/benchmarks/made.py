@@ -11,7 +11,8 @@ from rich.console import Console
 
 from benchmarks.campaign import CampaignFolder
 from benchmarks.methods_plan import MethodTraining
-from benchmarks.records import Record, read
+from benchmarks.records import Record, read, save
+from benchmarks.training_process import PIPELINE, measure
 from benchmarks.trainings import AnyTraining, Case, Method, Points, Training
 from stereogs import build_pipeline
 
@@ -59,6 +60,16 @@ def train(runs: Sequence[AnyTraining], place: Path) -> tuple[list[Record[AnyTrai
     folder.path.mkdir()
     outcome = folder.train(runs, 2, None, Console(file=io.StringIO()))
     return read(runs, folder.kept), [*outcome.failures.values()]
+
+
+def measure_here(runs: Sequence[AnyTraining], place: Path) -> list[Record[AnyTraining]]:
+    """Train in this process, which imports nothing anew; return the records."""
+    for run in runs:
+        folder = folder_in(place).path / run.name
+        folder.mkdir(parents=True)
+        (folder / PIPELINE).write_text(run.measured_pipeline, "utf-8")
+        save(run, measure(folder, None), folder_in(place).kept)
+    return read(runs, folder_in(place).kept)
 
 
 def record(

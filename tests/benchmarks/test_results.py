@@ -18,7 +18,7 @@ from benchmarks.results_picture import PICTURE, draw_first_views
 from benchmarks.results_plan import CASES, LPIPS_SEED, METHODS, planned_runs
 from benchmarks.trainings import SEEDS, VGG, Case, Method, Training
 from registry import RunError
-from tests.benchmarks.made import ROOM, row_of, tiny, train
+from tests.benchmarks.made import ROOM, measure_here, row_of, tiny
 from tests.host import Plugins, locked
 
 SEED = LPIPS_SEED + 1
@@ -85,9 +85,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Records, Path]:
     ]
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("STEREOGS_PLUGINS", raising=False)
-        found, errors = train(planned_runs([ROOM], methods, [SEED], Plugins()), place)
-    assert errors == []
-    return found, place / "out"
+        runs = planned_runs([ROOM], methods, [SEED], Plugins())
+        return measure_here(runs, place), place / "out"
 
 
 def test_the_page_shows_the_numbers_of_the_runs(measured: tuple[Records, Path]) -> None:

@@ -36,11 +36,17 @@ def test_lpips_is_measured_by_both_networks_or_by_neither(tmp_path: Path) -> Non
 
 
 @pytest.mark.proof
-def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> None:
+def test_trainings_record_scores_costs_and_circumstances_or_a_missing_score(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STEREOGS_MODELS")
     run = training(tiny(tmp_path, metrics="[psnr, ssim]"))
-    ((record,), errors) = train([run], tmp_path)
-    assert errors == []
+    lacking = training(tiny(tmp_path, "lacking", metrics="[lpips]"))
+    ((record,), (error,)) = train([run, lacking], tmp_path)
+    assert error.startswith("stereogs: a score is missing")
+    assert "set STEREOGS_MODELS" in error
     found = record.measured
+    assert record.run is run
     assert set(record.scores) == {"psnr", "ssim"}
     assert len(found["views"]) == 2  # the test views, and no others
     assert found["gaussians"] == found["initial_points"] == 100
@@ -50,15 +56,6 @@ def test_a_training_records_scores_costs_and_circumstances(tmp_path: Path) -> No
     assert {"logged", "processor_model"} <= set(found)
     assert {"torch", "stereogs-plugins"} <= set(found["packages"])
     assert len(list((tmp_path / "out" / run.name / "renders").glob("*.png"))) == 2
-
-
-@pytest.mark.proof
-def test_a_missing_score_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("STEREOGS_MODELS")
-    records, (error,) = train([training(tiny(tmp_path, metrics="[lpips]"))], tmp_path)
-    assert records == []
-    assert error.startswith("stereogs: a score is missing")
-    assert "set STEREOGS_MODELS" in error
 
 
 def test_lines_are_sorted_and_a_record_of_another_pipeline_is_skipped(tmp_path: Path) -> None:
