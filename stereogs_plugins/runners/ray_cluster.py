@@ -146,7 +146,8 @@ class RayCluster(Runner[RayClusterSettings]):
             memory=int(settings.memory_mb * 1e6),
             max_retries=settings.retries,
         )(train)
-        self._board = ray.remote(num_cpus=0)(Board).remote()
+        here = ray.get_runtime_context().get_node_id()
+        self._board = ray.remote(num_cpus=0)(Board).options(scheduling_strategy=_on(here)).remote()
         self._turn = itertools.count()
 
     def start(self, task: TrainingTask) -> RunningTask:
@@ -175,11 +176,9 @@ class RayCluster(Runner[RayClusterSettings]):
         others = [node for node in self._suitable() if node not in without]
         if not others:
             return None
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
         chosen = others[next(self._turn) % len(others)]
-        there = NodeAffinitySchedulingStrategy(chosen, soft=True)
-        return self._train.options(scheduling_strategy=there).remote(job, self._board)
+        there = self._train.options(scheduling_strategy=_on(chosen, soft=True))
+        return there.remote(job, self._board)
 
     def _suitable(self) -> list[str]:
         """Return the machines that have the resources of a training."""
@@ -196,6 +195,13 @@ class RayCluster(Runner[RayClusterSettings]):
         self._ray.kill(self._board)
         if self._joined:
             self._ray.shutdown()
+
+
+def _on(node: str, *, soft: bool = False) -> Any:
+    """Return the strategy that places a task on a machine; if `soft`, elsewhere after the machine's end."""
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    return NodeAffinitySchedulingStrategy(node, soft=soft)
 
 
 class _RayTask(RunningTask):
