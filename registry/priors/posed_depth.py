@@ -179,7 +179,10 @@ class PosedDepthPrior(Prior[SettingsType]):
 
 
 def _fitted(right: Tensor, down: Tensor, depth: Tensor) -> Tensor:
-    """Return the intrinsics `[3, 3]` whose focal length fits directions `[H, W]` (x / z, y / z) best."""
+    """Return the intrinsics `[3, 3]` whose focal length fits directions `[H, W]` (x / z, y / z) best.
+
+    A picture of one pixel determines none: it is 1.
+    """
     import torch
 
     height, width = depth.shape
@@ -188,7 +191,7 @@ def _fitted(right: Tensor, down: Tensor, depth: Tensor) -> Tensor:
     known = right.isfinite() & down.isfinite() & (depth > 0)
     slopes = torch.cat([right[known], down[known]]).double()
     pixels = torch.cat([columns[known], rows[known]]).double()
-    focal = (slopes @ pixels) / (slopes @ slopes)
+    focal = (slopes @ pixels) / (slopes @ slopes) if depth.numel() > 1 else 1.0
     intrinsics = torch.eye(3, dtype=torch.float64)
     intrinsics[0, 0] = intrinsics[1, 1] = focal
     intrinsics[0, 2], intrinsics[1, 2] = width / 2, height / 2

@@ -19,12 +19,20 @@ PIPELINE = """\
 name: examples
 scene: {use: procedural, width: 48, height: 36}
 initializer: {use: flat, points_per_view: 200}
-priors: [{use: script_normals, model: MODEL}]
-regularizers: [{use: robust_normals, weight: 0.1}]
+priors:
+  - {use: script_normals, model: MODELS/flat.pt}
+  - {use: script_metric, model: MODELS/metric.pt}
+regularizers:
+  - {use: robust_normals, weight: 0.1}
+  - {use: pearson_depth, prior: script_metric}
 opacity: {use: idle_fade, patience: 2}
 densification: {use: gradient_threshold, start: 2, every: 3}
 training: {iterations: 8, sh_degree: 0}
 """
+NETWORKS = {
+    "flat.pt": lambda image: image * 0 - 1,
+    "metric.pt": lambda image: (2 - image.mean(1), image.new_ones(1), 1 + image.mean(1)),
+}
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +76,9 @@ def test_their_own_tests_pass(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 def test_a_pipeline_of_them_trains(installed: Plugins, tmp_path: Path) -> None:
-    model = tmp_path / "flat.pt"
-    torch.jit.trace(lambda image: image * 0 - 1, torch.zeros(1, 3, 2, 2)).save(str(model))
-    text = PIPELINE.replace("MODEL", str(model))
+    for name, network in NETWORKS.items():
+        torch.jit.trace(network, torch.zeros(1, 3, 2, 2)).save(str(tmp_path / name))
+    text = PIPELINE.replace("MODELS", str(tmp_path))
     pipeline = stereogs.build_pipeline(text, plugins=installed)
     run = stereogs.train(pipeline, out=tmp_path / "run", progress=False)
     assert run.finished
@@ -79,3 +87,4 @@ def test_a_pipeline_of_them_trains(installed: Plugins, tmp_path: Path) -> None:
     assert plugin.startswith("stereogs-idle-opacity 0.1.0, code ")
     assert "fading" in run.metrics[-1]
     assert run.metrics[-1]["regularizers.robust_normals"] > 0
+    assert run.metrics[-1]["regularizers.pearson_depth"] > 0

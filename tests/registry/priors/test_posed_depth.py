@@ -82,6 +82,7 @@ def test_the_answer_is_checked_and_cached(cache: Path) -> None:
         ({"world_to_camera": torch.full((3, 4), torch.nan)}, "camera of photograph 0 is not valid"),
         ({"intrinsics": torch.zeros(3, 3)}, "camera of photograph 0 is not valid"),
         ({"confidence": torch.full((24, 32), 7.0)}, "not 0 to 1"),
+        ({"confidence": torch.linspace(-0.5, 1, 24 * 32).reshape(24, 32)}, "not 0 to 1"),
     ],
 )
 def test_a_wrong_answer_is_refused(
@@ -134,3 +135,5 @@ def test_a_pointmap_gives_depth_and_focal_length() -> None:
     answer = PosedDepth.from_points(points, camera.world_to_camera, torch.ones(24, 32))
     assert torch.allclose(answer.depth[1:].float(), depth[1:])
     assert torch.allclose(answer.intrinsics, camera.intrinsics)
+    one = PosedDepth.from_points(points[:1, 1:2], camera.world_to_camera, torch.ones(1, 1))
+    assert one.intrinsics.diagonal().tolist() == [1, 1, 1]
