@@ -12,6 +12,9 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	$(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
 
+# PoCL from pip does not know the newest processors; Intel's runtime, also from pip, does.
+BUILDS := import torch, core_rasterizer as engine; engine.list_devices()[0].program(dtype=torch.float32)
+
 RELEASE := $(if $(TORCH_INDEX),PIP_EXTRA_INDEX_URL=$(TORCH_INDEX)) $(BIN)/python -m tests.release
 
 .PHONY: demo test proofs tutorial notebook nerfbaselines browser cluster loggers new-plugins \
@@ -86,18 +89,20 @@ loggers: $(VENV)/.dev ## the loggers against the packages that they log with, wh
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
 
-cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker killed in the middle; minutes
-	$(PIP) --editable '.[dev,cluster]'
-	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
+cluster: $(VENV)/.dev ## runs on processes that share a folder, on Ray and on submitit, some killed or without data; minutes
+	$(PIP) --editable '.[dev,cluster,slurm]'
+	CLUSTER=1 $(BIN)/python -m pytest -m 'proof or not proof' tests/stereogs_plugins/runners tests/stereogs/experiments/test_sharing.py
 
-lint: $(VENV)/.dev ## ruff: rules and format; workflow files by their schema
+lint: $(VENV)/.dev ## rules and format of Python, format of kernels, workflow files by their schema
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror core_rasterizer/*/kernels/*.cl
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 
-types: $(VENV)/.dev ## mypy, strict
+types: $(VENV)/.dev ## mypy, strict; what is shipped also as on Windows
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/windows core_rasterizer registry stereogs stereogs_plugins
 
 docs: $(VENV)/.dev ## pipelines/pipeline.schema.json, generated from the code
 	$(BIN)/stereogs schema > pipelines/pipeline.schema.json
@@ -170,6 +175,9 @@ $(VENV)/.runtime: pyproject.toml core_rasterizer/pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV) (a few minutes the first time)"
 	$(PIP) --editable ./core_rasterizer --editable '.[video]'
+	@$(BIN)/python -c '$(BUILDS)' 2> /dev/null || { \
+		echo "no installed OpenCL driver builds kernels for this processor: adding Intel's runtime"; \
+		$(PIP) --editable './core_rasterizer[intel]'; }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime

@@ -103,11 +103,9 @@ def trial(device: Device) -> Trial:
             failure,
             **({"seconds": iteration_seconds(device)} if verdict.passed else {}),
             **asdict(verdict),
-            built_for=device.built_for,
-            could_be_built_for=device.could_be_built_for,
         )
     except ExplainedError as error:
-        return Trial(failure=error.what)
+        return Trial(failure="; ".join(filter(None, (error.what, error.fix))))
     except Exception as error:  # broken drivers raise anything
         return Trial(failure=f"{type(error).__name__}: {error}")
 

@@ -5,13 +5,11 @@ from .array import DeviceArray, Scratch
 from .choice import Description, choose
 from .device import Device, Kind, list_devices, open_device
 from .host_pool import host_pool
-from .memory import CORRECT_CPU_NAME
 from .profile import DeviceProfile, Variant
 from .program import KernelText, Program
 from .trial import Trial, described, tried
 
 __all__ = [
-    "CORRECT_CPU_NAME",
     "INTEL",
     "Description",
     "Device",

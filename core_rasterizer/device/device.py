@@ -18,7 +18,6 @@ from .memory import DeviceMemory
 from .profile import DeviceProfile, Variant
 from .program import KernelText, Program
 from .trial import seconds_of
-from .unknown_cpu import better_cpu_name, correct_cpu_name, written_cpu_name
 from .uploads import Uploads
 
 _log = logging.getLogger(__name__)
@@ -61,25 +60,6 @@ class Device(DeviceMemory):
     def lanes(self) -> int:
         """Reals per vector of the kernels; rasterizer, SSIM and the ZNCC sweep have their own."""
         return self.profile.lanes
-
-    @property
-    def built_for(self) -> str | None:
-        """Processor name that we wrote into an old PoCL ("skx": AVX-512); None if unchanged.
-
-        PoCL may reject its first build and then needs the name, so where it could be written this
-        builds a program first.
-
-        Raises:
-            DeviceError: such a device cannot be opened, or does not build.
-        """
-        if self.could_be_built_for:
-            self.program(dtype=torch.float32)
-        return written_cpu_name(self._handle)
-
-    @property
-    def could_be_built_for(self) -> str | None:
-        """Processor name that STEREOGS_CORRECT_CPU_NAME=1 would write into an old PoCL, else None."""
-        return better_cpu_name(self._handle)
 
     def describe(self, index: int) -> Description:
         """What the driver says of it; `index` is its position in `list_devices`."""
@@ -133,19 +113,14 @@ class Device(DeviceMemory):
             "HAS_DOUBLE": int(self.supports_double),
             **defines,
         }
-        try:
-            return Program(self, sources, macros)
-        except DeviceError:
-            # If the compiler does not know the processor, every build fails.
-            if correct_cpu_name(self._handle, only_unknown=True):
-                return Program(self, sources, macros)
-            raise
+        return Program(self, sources, macros)
 
 
 def list_devices() -> list[Device]:
     """Every OpenCL device of the installed drivers, in the drivers' order.
 
-    Devices are opened on first use, so a busy or broken one raises its `DeviceError` only then.
+    A driver whose compiler does not know the processor is left out if there is another. Devices are opened
+    on first use, so a busy or broken one raises its `DeviceError` only then.
     """
     return list(_devices())
 
@@ -176,7 +151,23 @@ def _seconds() -> list[float]:
 
 @cache
 def _devices() -> tuple[Device, ...]:
-    return tuple(device for platform in platforms() for device in _devices_of(platform))
+    found = tuple(device for platform in platforms() for device in _devices_of(platform))
+    return tuple(device for device in found if _knows_processor(device)) or found
+
+
+def _knows_processor(device: Device) -> bool:
+    """Whether the driver's compiler knows this processor.
+
+    The LLVM of an old PoCL calls a processor that is newer than itself "generic" and then rejects that name
+    as a target, so every build fails (PoCL 3.0 from pip, LLVM 14, on Zen 5).
+    """
+    if not device._handle.version.endswith("-generic"):
+        return True
+    try:
+        device.program(dtype=torch.float32)
+    except DeviceError:
+        return False
+    return True
 
 
 def _devices_of(platform: cl.Platform) -> Iterator[Device]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from threading import RLock
 
 import pyopencl as cl
@@ -10,10 +9,6 @@ import torch
 from torch import Tensor
 
 from ..errors import DeviceError, MemoryBudgetError
-from .unknown_cpu import correct_cpu_name
-
-CORRECT_CPU_NAME = "STEREOGS_CORRECT_CPU_NAME"
-"""Environment variable; 1 corrects the driver's processor name before any build fails (`unknown_cpu`)."""
 
 _contexts: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
 """One context for each device, whatever its variants: a GPU's driver refuses more when many are open."""
@@ -125,8 +120,6 @@ class DeviceMemory:
         return self._open
 
     def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:
-        if os.environ.get(CORRECT_CPU_NAME) == "1":
-            correct_cpu_name(self._handle)
         try:
             context = cl.Context([self._handle])
             return context, cl.CommandQueue(context)

@@ -31,7 +31,6 @@ class Trial:
         failure: what went wrong; None if the device passed.
         seconds: of one training iteration with 20,000 Gaussians at 320x240; infinite if it failed.
         image_error, gradient_error, depth_error: see `self_test.Verdict`.
-        built_for, could_be_built_for: see `Device`.
     """
 
     failure: str | None
@@ -39,8 +38,6 @@ class Trial:
     image_error: float = math.nan
     gradient_error: float = math.nan
     depth_error: float = math.nan
-    built_for: str | None = None
-    could_be_built_for: str | None = None
 
 
 def described(environment: Mapping[str, str] | None = None) -> list[Description] | str:

@@ -194,7 +194,8 @@ class Watchdog:
             end = _SHOW_CURSOR if sys.stderr.isatty() else ""
             print(f"stereogs: {error}{end}", file=sys.__stderr__, flush=True)
             os._exit(HUNG)
-        signal.pthread_kill(_main_thread(), _SIGNAL)
+        if sys.platform != "win32":  # where `ending` sets no limit
+            signal.pthread_kill(_main_thread(), _SIGNAL)
 
     def _hung(self) -> Call | None:
         """Return the innermost call of the main thread that takes too long."""

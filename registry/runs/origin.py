@@ -185,9 +185,8 @@ def with_packages(error: ExplainedError, packages: Mapping[str, str]) -> Explain
 
 
 def describe_device(device: Device) -> dict[str, str]:
-    """Return the OpenCL device as JSON values; `built_for` only if the device has one."""
-    facts = {name: getattr(device, name) for name in ("name", "platform", "kind", "driver")}
-    return facts | ({"built_for": device.built_for} if device.built_for else {})
+    """Return the OpenCL device as JSON values."""
+    return {name: getattr(device, name) for name in ("name", "platform", "kind", "driver")}
 
 
 def _required(package: str) -> list[str]:

@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,7 @@ from ..messages.visible_text import visible
 
 _LEFTOVER = re.compile(r"\..+\.(?P<process>[0-9]+)\.partial")
 """Temporary names: the final name and the number of the writing process."""
+_TRIES = 20
 
 
 @contextmanager
@@ -32,9 +34,19 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         flush(temporary)
-        temporary.replace(path)
+        _replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _replace(source: Path, target: Path) -> None:
+    """Replace a file by another; on Windows try for a second, as a process that reads `target` locks it."""
+    for _ in range(_TRIES if sys.platform == "win32" else 0):
+        with suppress(PermissionError):
+            source.replace(target)
+            return
+        time.sleep(1 / _TRIES)
+    source.replace(target)
 
 
 def flush(file: Path) -> None:
@@ -55,9 +67,9 @@ def flush_folder(folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, as `replacing` does."""
+    """Write a text file in UTF-8, with the same bytes on all systems, as `replacing` does."""
     with replacing(path) as temporary:
-        temporary.write_text(text, "utf-8")
+        temporary.write_text(text, "utf-8", newline="\n")
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -45,9 +45,11 @@ def out_of_memory(error: BaseException) -> bool:
 
 def machine_memory() -> int | None:
     """Bytes that this machine has, or this container may use; None if unknown (Windows)."""
+    if sys.platform == "win32":
+        return None
     try:
         machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
+    except (ValueError, OSError):
         return None
     return int(min(machine, _container("max")))
 
@@ -63,7 +65,9 @@ def available_bytes() -> float:
 def resident_bytes() -> int:
     """Bytes that this process holds in memory; 0 if unknown (only Linux tells quickly)."""
     file, page = _statm()
-    return 0 if file is None else int(os.pread(file, 64, 0).split()[1]) * page
+    if sys.platform == "win32" or file is None:
+        return 0
+    return int(os.pread(file, 64, 0).split()[1]) * page
 
 
 @cache
@@ -72,6 +76,8 @@ def _statm() -> tuple[int | None, int]:
 
     Opening it at each call would take four times as long.
     """
+    if sys.platform == "win32":
+        return None, 0
     try:
         file = os.open("/proc/self/statm", os.O_RDONLY)
     except OSError:
@@ -86,10 +92,10 @@ def peak_memory_mb() -> float | None:
         # Linux, where getrusage would begin with the peak of the parent process.
         peak = _listed_bytes(_STATUS, "VmHWM")
         return None if peak is None else peak / 1e6
-    try:
-        import resource
-    except ImportError:  # Windows
+    if sys.platform == "win32":
         return None
+    import resource
+
     peak_usage = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # macOS counts in bytes, others in KiB.
     return float(peak_usage if sys.platform == "darwin" else peak_usage * 1024) / 1e6

@@ -78,7 +78,7 @@ def _lines(device: Description, trial: Trial, *, is_chosen: bool) -> str:
     return (
         f"{device.name} ({device.platform}, {device.kind}, driver {device.driver}){mark}\n"
         f"  {device.compute_units} compute units, {device.memory_bytes / 1e9:.1f} GB\n"
-        f"  self-test: {_verdict(trial)}{_kernels(trial)}"
+        f"  self-test: {_verdict(trial)}"
     )
 
 
@@ -91,19 +91,6 @@ def _verdict(trial: Trial) -> str:
         return f"passed, {numbers}\n  training iteration: {1000 * trial.seconds:.1f} ms"
     measured = trial.image_error == trial.image_error  # else the test ended before
     return f"FAILED: {trial.failure}" + (f", {numbers}" if measured else "")
-
-
-def _kernels(trial: Trial) -> str:
-    """Return a line on the processor that kernels are built for, if an old driver does not know it."""
-    from core_rasterizer.device import CORRECT_CPU_NAME, INTEL
-
-    newer = f"\n  {INTEL} brings a driver that knows the processor"
-    if trial.built_for:
-        return f"\n  kernels are built for {trial.built_for}, which the driver was told{newer}"
-    if better := trial.could_be_built_for:
-        faster = f"{CORRECT_CPU_NAME}=1 has faster kernels built, for {better} (docs/limits.md)"
-        return f"\n  {faster}{newer}"
-    return ""
 
 
 def _leave_out_broken(folder: Path) -> Iterator[str]:

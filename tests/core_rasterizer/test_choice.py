@@ -218,5 +218,5 @@ def test_a_wrong_result_fails_the_self_test(
 
 
 def _errors(result: Trial) -> dict[str, object]:
-    names = ("image_error", "gradient_error", "depth_error", "built_for", "could_be_built_for")
+    names = ("image_error", "gradient_error", "depth_error")
     return {name: getattr(result, name) for name in names}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pyopencl as cl
 import pytest
@@ -63,6 +64,46 @@ def test_an_empty_array_is_allowed(device: Device) -> None:
 def test_a_build_failure_is_explained(device: Device) -> None:
     with pytest.raises(DeviceError, match="failed on the kernels"):
         device.program("raster/scan", dtype=torch.float32)  # its macros are missing
+
+
+class OtherVersion:
+    """The first device's handle, but its driver names another version."""
+
+    def __init__(self, version: str) -> None:
+        self.version = version
+        self._real = list_devices()[0]._handle
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._real, name)
+
+
+def test_a_driver_that_does_not_know_the_processor_is_left_out_if_there_is_another(
+    no_device_opens: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PoCL 3.0 on Zen 5: its version ends with "-generic", and nothing can be built."""
+    unknown = OtherVersion("OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic")
+    known = OtherVersion("OpenCL 3.0 (Build 0)")
+
+    def listed(*handles: OtherVersion) -> list[object]:
+        driver = SimpleNamespace(get_devices=lambda: handles)
+        monkeypatch.setattr("core_rasterizer.device.device.platforms", lambda: [driver])
+        device_module._devices.cache_clear()
+        return [device._handle for device in list_devices()]
+
+    assert listed(unknown, known) == [known]
+    assert listed(unknown) == [unknown]
+
+
+def test_a_processor_that_the_driver_does_not_know_needs_another_driver(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reject(*_: object, **__: object) -> None:
+        raise cl.RuntimeError("clBuildProgram failed: error: unknown target CPU 'generic'")
+
+    monkeypatch.setattr(cl.Program, "build", reject)
+    with pytest.raises(DeviceError) as error:
+        device.program("raster/scan", dtype=torch.float64)
+    assert "pip install 'stereogs-rasterizer[intel]'" in error.value.fix
 
 
 def test_a_device_that_cannot_be_opened_is_listed_and_chosen(no_device_opens: None) -> None:

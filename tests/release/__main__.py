@@ -13,7 +13,7 @@ import time
 import venv
 from pathlib import Path
 
-from tests.release.distributions import DIST, ROOT, build, run
+from tests.release.distributions import DIST, ROOT, build, run, with_driver
 
 _EXAMPLES = sorted((ROOT / "docs" / "examples").glob("stereogs-*"))
 
@@ -41,6 +41,7 @@ class Installed:
     def use(self, engine: Path, plugins: Path) -> None:
         """Install and use the engine, then the plugins, then the example packages."""
         self._measure(engine)
+        self._install(with_driver(engine))
         self._use_engine()
         self._measure(plugins)
         self._use_plugins()

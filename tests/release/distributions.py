@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
@@ -14,6 +15,15 @@ DIST = ROOT / "dist"
 _ENGINE = "core_rasterizer"
 _LINKED = ("pipelines", "protocols")
 """Folders of `stereogs_plugins` that are links to folders of these names in the root."""
+
+
+def with_driver(engine: Path) -> str:
+    """Return the engine's wheel, with its extra if this environment needs that for this processor."""
+    try:
+        metadata.distribution("intel-opencl-rt")
+    except metadata.PackageNotFoundError:
+        return str(engine)
+    return f"{engine}[intel]"
 
 
 def clean_environment() -> dict[str, str]:

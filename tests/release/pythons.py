@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.release.distributions import ROOT, build, clean_environment, run
+from tests.release.distributions import ROOT, build, clean_environment, run, with_driver
 
 _OLDEST, _NEWEST = 11, 20
 _FOLDER = ROOT / "build" / "pythons"
@@ -63,7 +63,13 @@ def _install(python: Path, environment: Path, wheels: list[Path]) -> None:
     run(python, "-m", "venv", environment)
     engine, plugins = wheels
     pip = (environment / "bin" / "python", "-m", "pip", "install", "--quiet")
-    run(*pip, "--constraint", ROOT / "constraints.txt", engine, f"{plugins}[dev,plot,video]")
+    run(
+        *pip,
+        "--constraint",
+        ROOT / "constraints.txt",
+        with_driver(engine),
+        f"{plugins}[dev,plot,video]",
+    )
     run(*pip, "--force-reinstall", "--no-deps", *wheels)  # of an unchanged version, but rebuilt
 
 

@@ -63,7 +63,7 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #define LOAD_GLOBAL(pointer) (*(__global const lane_anywhere *)(pointer))
 #define STORE_GLOBAL(pointer, value) (*(__global lane_anywhere *)(pointer) = (value))
 #define STORE(pointer, value) (*(lane_anywhere *)(pointer) = (value))
-#define LOAD_BYTES(pointer)                                                                       \
+#define LOAD_BYTES(pointer)                                                                        \
     __builtin_convertvector(*(__global const GLUE(uchar, LANES) *)(pointer), lane_mask)
 #define LANE_AT(value, index) (((real *)&(value))[index])
 #define LANE_AT_MASK(value, index) (((const real_bits *)&(value))[index])
@@ -74,7 +74,7 @@ typedef lane lane_anywhere __attribute__((aligned(sizeof(real))));
 #if LANES == 1
 #define LOAD_GLOBAL(pointer) (*(pointer))
 #define STORE_GLOBAL(pointer, value) (*(pointer) = (value))
-#define LOAD_BYTES(pointer) ((lane_mask)*(pointer))
+#define LOAD_BYTES(pointer) ((lane_mask)(*(pointer)))
 #endif
 
 /* The end of a loop over `count` of at most `most` elements of a private array. A GPU goes through all, unrolled,

@@ -9,7 +9,8 @@
 
 /* SOURCE_NUMBERS and SOURCE_LAYOUT come from patch_level.py. */
 #define NOISE 4e-6f /* variance of grey values that counts as no texture */
-#define FORGIVEN 1.0f /* pixels of disagreement without cost, because depths are read without interpolation */
+/* Pixels of disagreement without cost, because depths are read without interpolation. */
+#define FORGIVEN 1.0f
 #define MAX_MISSED 3.0f /* pixels; larger disagreements cost the same */
 #define WORST 2.0f /* cost of NCC = -1, and where a view does not see the point */
 
@@ -23,8 +24,7 @@ typedef struct {
 } source_views;
 
 /* 1 - NCC of the windows, in [0, 2]. NOISE is added to both variances, so that flat patches match nothing. */
-static inline lane photometric_cost(
-    const window *here, plane on, const source_views *views, int s)
+static inline lane photometric_cost(const window *here, plane on, const source_views *views, int s)
 {
     __global const real *m = views->numbers + s * SOURCE_NUMBERS;
     __global const int *layout = views->layout + s * SOURCE_LAYOUT;
@@ -32,8 +32,8 @@ static inline lane photometric_cost(
     const lane z = m[6] * here->x + m[7] * here->y + m[8] + on.nearness * m[11];
     const lane x = m[0] * here->x + m[1] * here->y + m[2] + on.nearness * m[9];
     const lane y = m[3] * here->x + m[4] * here->y + m[5] + on.nearness * m[10];
-    const lane_int seen = (z > (lane)0) & (x >= (lane)0) & (y >= (lane)0)
-        & (x <= (real)width * z) & (y <= (real)height * z);
+    const lane_int seen = (z > (lane)0) & (x >= (lane)0) & (y >= (lane)0) & (x <= (real)width * z)
+        & (y <= (real)height * z);
     if (!in_any_lane(seen))
         return (lane)WORST;
     /* Samples are interpolated between pixel centres, so half a pixel is subtracted. */
@@ -49,9 +49,10 @@ static inline lane photometric_cost(
         const lane row_z = z + (real)v * down_z;
         for (int u = FIRST_IN_ROW(v); u <= RADIUS; u += 2, i++) {
             const lane inverse = 1 / (row_z + (real)u * right_z);
-            const lane value = (1.0f / LEVELS) * between_pixels(
-                views->pairs + layout[0], width, height, (row_x + (real)u * right_x) * inverse,
-                (row_y + (real)u * right_y) * inverse);
+            const lane value = (1.0f / LEVELS)
+                * between_pixels(views->pairs + layout[0], width, height,
+                                 (row_x + (real)u * right_x) * inverse,
+                                 (row_y + (real)u * right_y) * inverse);
             const lane weighted = here->weights[i] * value;
             sum += weighted;
             squares += weighted * value;
@@ -66,8 +67,7 @@ static inline lane photometric_cost(
 
 /* The cost of the reprojection error of a pixel to a source view, onto its known surface, and back: at most
  * MAX_MISSED pixels, also where not visible (geometric consistency of Xu and Tao, CVPR 2019). */
-static inline lane disagreement(
-    const window *here, lane nearness, const source_views *views, int s)
+static inline lane disagreement(const window *here, lane nearness, const source_views *views, int s)
 {
     if (views->agreement == 0)
         return (lane)0;

@@ -53,8 +53,9 @@ static inline void neighbouring_planes(
         else
             for (int aside = -3; aside <= 3; aside++) {
                 const int step = 1 + abs(aside);
-                consider(costs, width, height, x, y, step * right + aside * down,
-                         step * down + aside * right, &best);
+                consider(
+                    costs, width, height, x, y, step * right + aside * down,
+                    step * down + aside * right, &best);
             }
         plane there = load_plane(planes, pixels, best.at);
         there.nearness -= best.right * there.right + best.down * there.down;
@@ -65,7 +66,8 @@ static inline void neighbouring_planes(
 /* How much each source view counts at the pixel: views that match most of the neighbouring planes well,
  * by how well (joint view selection of Xu and Tao, CVPR 2019). All others get a tiny weight, which decides
  * if no view is chosen. */
-static inline void weigh_views(lane (*costs)[MAX_SOURCES], int sources, real good_cost, lane *weights)
+static inline void weigh_views(
+    lane (*costs)[MAX_SOURCES], int sources, real good_cost, lane *weights)
 {
     for (int s = 0; s < sources; s++) {
         lane good = (lane)0, bad = (lane)0, sum = (lane)0, all = (lane)0;
@@ -129,8 +131,9 @@ static inline lane weighted_cost(
     lane cost = (lane)0;
     for (int s = 0; s < views->count; s++)
         if (in_any_lane(weights[s] > (lane)0))
-            cost += weights[s] * (photometric_cost(here, tried, views, s)
-                                  + disagreement(here, tried.nearness, views, s));
+            cost += weights[s]
+                * (photometric_cost(here, tried, views, s)
+                   + disagreement(here, tried.nearness, views, s));
     return cost;
 }
 
@@ -166,7 +169,8 @@ __kernel void improve_planes(
         const lane tilt = lane_exp(-3.5f * uniform_draw(at, key, draw + 1));
         plane tried = state.best;
         if (change != 1)
-            tried.nearness += (nearest - farthest) * step * (2 * uniform_draw(at, key, draw + 2) - 1);
+            tried.nearness += (nearest - farthest) * step
+                * (2 * uniform_draw(at, key, draw + 2) - 1);
         if (change != 0)
             tried = tilted(tried, tilt, at, key, draw + 3, ray_x, ray_y, focal_x, focal_y);
         try_plane(&state, tried, weighted_cost(tried, &here, &views, weights));

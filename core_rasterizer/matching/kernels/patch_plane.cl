@@ -54,8 +54,9 @@ static inline lane uniform_draw(lane_int pixel, uint key, uint draw)
 /* A plane through the same point with its normal moved by up to `amount` of its length in each direction
  * of the camera's axes; the old one where it would be seen at less than six degrees. A plane's normal is
  * (fx right, fy down, w - the rest at the principal point); along the pixel's ray it has the length w. */
-static inline plane tilted(plane p, lane amount, lane_int pixel, uint key, uint draw, lane ray_x,
-                           lane ray_y, real focal_x, real focal_y)
+static inline plane tilted(
+    plane p, lane amount, lane_int pixel, uint key, uint draw, lane ray_x, lane ray_y, real focal_x,
+    real focal_y)
 {
     lane nx = focal_x * p.right, ny = focal_y * p.down;
     lane nz = p.nearness - nx * ray_x - ny * ray_y;

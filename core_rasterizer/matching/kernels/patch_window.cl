@@ -22,8 +22,8 @@ static inline lane gather_real(__global const real *table, lane_int at)
 #if LANES == 1
     return table[at];
 #else
-    return (lane)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
-                  table[at.s4], table[at.s5], table[at.s6], table[at.s7]);
+    return (lane)(table[at.s0], table[at.s1], table[at.s2], table[at.s3], table[at.s4],
+                  table[at.s5], table[at.s6], table[at.s7]);
 #endif
 }
 

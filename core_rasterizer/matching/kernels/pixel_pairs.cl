@@ -6,13 +6,13 @@ static inline lane_int gather(__global const int *table, lane_int at)
 #if LANES == 1
     return table[at];
 #elif LANES == 8
-    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
-                      table[at.s4], table[at.s5], table[at.s6], table[at.s7]);
+    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3], table[at.s4],
+                      table[at.s5], table[at.s6], table[at.s7]);
 #else
-    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3],
-                      table[at.s4], table[at.s5], table[at.s6], table[at.s7],
-                      table[at.s8], table[at.s9], table[at.sa], table[at.sb],
-                      table[at.sc], table[at.sd], table[at.se], table[at.sf]);
+    return (lane_int)(table[at.s0], table[at.s1], table[at.s2], table[at.s3], table[at.s4],
+                      table[at.s5], table[at.s6], table[at.s7], table[at.s8], table[at.s9],
+                      table[at.sa], table[at.sb], table[at.sc], table[at.sd], table[at.se],
+                      table[at.sf]);
 #endif
 }
 

@@ -56,18 +56,19 @@ static inline lane_int is_inside(ray_points p, real width, real height)
 static inline lane sample(__global const int *pairs, int width, int height, ray_points p)
 {
     const lane inverse = 1 / p.z;
-    const lane value = between_pixels(pairs, width, height, p.x * inverse - 0.5f, p.y * inverse - 0.5f);
+    const lane value = between_pixels(
+        pairs, width, height, p.x * inverse - 0.5f, p.y * inverse - 0.5f);
     return (value + ROUNDER) - ROUNDER;
 }
 
 /* 127.5 (1 - ZNCC); `noise` is added to both variances, so that flat patches match nothing well. */
-static inline lane dissimilarity(
-    lane sum, lane squares, lane products, float4 window, real noise)
+static inline lane dissimilarity(lane sum, lane squares, lane products, float4 window, real noise)
 {
     const real n = window.y, floor_variance = n * n * noise;
     const lane variance = n * squares - sum * sum + floor_variance;
     const lane covariance = n * products - sum * window.z;
-    const lane cost = 127.5f - 127.5f * covariance / lane_sqrt(variance * (window.w + floor_variance));
+    const lane cost = 127.5f
+        - 127.5f * covariance / lane_sqrt(variance * (window.w + floor_variance));
     return LANE_MIN((lane)255, LANE_MAX((lane)0, cost));
 }
 
@@ -137,7 +138,8 @@ static inline void sweep_row(
             const float4 window = windows[(size_t)done * width + center];
             const ray_points p = project(source, state->shift, center + 0.5f, done + 0.5f);
             const lane cost = is_inside(p, layout[1], layout[2])
-                ? dissimilarity(sum, square, product, window, noise) : (lane)NOT_SEEN;
+                ? dissimilarity(sum, square, product, window, noise)
+                : (lane)NOT_SEEN;
             const lane larger = LANE_MAX(lowest[first], cost);
             lowest[first] = LANE_MIN(lowest[first], cost);
             second[first] = LANE_MIN(second[first], larger);
@@ -151,8 +153,8 @@ static inline void sweep_row(
 /* The costs of LANES planes, from `plane` on, over the tile that begins at (x0, y0). */
 static inline void sweep_tile(
     __global const int *pairs, __global const float4 *windows, __global const real *sources,
-    __global const int *layout, __global const real *inverse_depths, __global uchar *costs, int width,
-    int height, real noise, real second_share, int plane, int planes, int x0, int y0)
+    __global const int *layout, __global const real *inverse_depths, __global uchar *costs,
+    int width, int height, real noise, real second_share, int plane, int planes, int x0, int y0)
 {
     const int x1 = min(x0 + TILE_WIDTH, width), y1 = min(y0 + TILE_HEIGHT, height);
     const lane depths = LOAD_GLOBAL(inverse_depths + plane);
@@ -167,8 +169,9 @@ static inline void sweep_tile(
             lowest[i] = second[i] = (lane)NOT_SEEN;
         for (int s = 0; s < SOURCES; s++) {
             __global const int *place = layout + s * SOURCE_LAYOUT;
-            sweep_row(&states[s], pairs + place[0], place, windows, sources + s * SOURCE_NUMBERS,
-                      width, height, x0, x1, y0, y, slot, noise, lowest, second);
+            sweep_row(
+                &states[s], pairs + place[0], place, windows, sources + s * SOURCE_NUMBERS, width,
+                height, x0, x1, y0, y, slot, noise, lowest, second);
         }
         slot = slot + 1 < WINDOW ? slot + 1 : 0;
         for (int x = x0; x < x1 && y - RADIUS >= y0; x++) {
@@ -183,13 +186,14 @@ static inline void sweep_tile(
 
 __kernel void plane_sweep(
     __global const int *pairs, __global const float4 *windows, __global const real *sources,
-    __global const int *layout, __global const real *inverse_depths, __global uchar *costs, int width,
-    int height, real noise, real second_share)
+    __global const int *layout, __global const real *inverse_depths, __global uchar *costs,
+    int width, int height, real noise, real second_share)
 {
     const int planes = get_global_size(0) * PLANES_PER_ITEM;
     const int first = get_global_id(0) * PLANES_PER_ITEM;
     const int x0 = get_global_id(1) * TILE_WIDTH, y0 = get_global_id(2) * TILE_HEIGHT;
     for (int plane = first; plane < first + PLANES_PER_ITEM; plane += LANES)
-        sweep_tile(pairs, windows, sources, layout, inverse_depths, costs, width, height, noise,
-                   second_share, plane, planes, x0, y0);
+        sweep_tile(
+            pairs, windows, sources, layout, inverse_depths, costs, width, height, noise,
+            second_share, plane, planes, x0, y0);
 }

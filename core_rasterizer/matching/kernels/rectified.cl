@@ -11,7 +11,7 @@
 #define STORE_COSTS(pointer, value) (*(pointer) = (uchar)(value))
 #else
 typedef GLUE(uchar, LANES) lane_bytes;
-#define STORE_COSTS(pointer, value) \
+#define STORE_COSTS(pointer, value)                                                                \
     (*(__global lane_bytes *)(pointer) = __builtin_convertvector(value, lane_bytes))
 #endif
 
@@ -76,7 +76,8 @@ __kernel void correlate_windows(
         const size_t pixel = (size_t)y * width + x, match = y * right_width + mirrored;
         const lane covariance = product - left_sum[pixel] * LOAD_GLOBAL(right_mean + match);
         const lane scale = left_scale[pixel] * LOAD_GLOBAL(right_scale + match);
-        write_costs(costs, pixel, depth, planes, unseen, x, d, correlation_cost(covariance * scale));
+        write_costs(
+            costs, pixel, depth, planes, unseen, x, d, correlation_cost(covariance * scale));
         product -= row_product(left + y * left_stride, right + y * right_stride);
     }
 }
@@ -93,7 +94,8 @@ __kernel void correlate_features(
     lane product = (lane)0;
     for (int c = 0; c < channels; c++)
         product += left[c * width] * LOAD_GLOBAL(right + c * right_width);
-    write_costs(costs, (size_t)y * width + x, depth, planes, unseen, x, d, correlation_cost(product));
+    write_costs(
+        costs, (size_t)y * width + x, depth, planes, unseen, x, d, correlation_cost(product));
 }
 
 /* Number of set bits. */

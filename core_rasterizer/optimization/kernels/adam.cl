@@ -18,8 +18,8 @@ static inline int any_gradient(__global const real *gradients)
 
 __kernel void adam(
     __global real *restrict parameters, __global const real *restrict gradients,
-    __global real *restrict first_moments, __global real *restrict second_moments,
-    ADAM_RATES, int moving, int columns, int capacity, int span, __global int *undefined)
+    __global real *restrict first_moments, __global real *restrict second_moments, ADAM_RATES,
+    int moving, int columns, int capacity, int span, __global int *undefined)
 {
     const size_t row = get_global_id(1);
     const int begin = get_global_id(0) * span;
@@ -34,11 +34,13 @@ __kernel void adam(
 #if VISIBLE_ONLY
     for (size_t at = first + begin; at < first + end; at += BLOCK)
         if (any_gradient(gradients + at))
-            found |= step_values(parameters, gradients, first_moments, second_moments, at, at + BLOCK,
-                rate, correction);
+            found |= step_values(
+                parameters, gradients, first_moments, second_moments, at, at + BLOCK, rate,
+                correction);
 #else
-    found = step_values(parameters, gradients, first_moments, second_moments, first + begin,
-        first + end, rate, correction);
+    found = step_values(
+        parameters, gradients, first_moments, second_moments, first + begin, first + end, rate,
+        correction);
 #endif
     if (found)
         *undefined = 1;

@@ -59,7 +59,8 @@ static inline int step_values(
         const real change = rate * m / (SCALAR_SQRT(v) * correction + EPSILON);
         const real moved = parameters[at] - (still ? 0 : change);
         parameters[at] = moved;
-        undefined |= !((moved > -INFINITY) & (moved < INFINITY)); /* comparisons with NaN are false */
+        /* Comparisons with NaN are false. */
+        undefined |= !((moved > -INFINITY) & (moved < INFINITY));
     }
     return undefined;
 }

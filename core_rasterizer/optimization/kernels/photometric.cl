@@ -24,8 +24,7 @@
 #define RING (TAPS + ROWS - 1) /* rows of derivatives that a step looks at */
 
 /* Start of the next block; see the note on a row's last block. */
-#define FOR_EACH_BLOCK(block, row) \
-    for (int block = 0; block < (row); block += LANES)
+#define FOR_EACH_BLOCK(block, row) for (int block = 0; block < (row); block += LANES)
 #define BLOCK_START(block, row) ((block) < (row) - LANES ? (block) : (row) - LANES)
 
 static inline lane filter_row(__global const real *map)
@@ -56,8 +55,8 @@ static inline real sum_lanes(lane values)
 
 /* The wanted row, or if it is outside the image the nearest one with weight 0. A branch would prevent
  * unrolling. */
-#define ROW_INSIDE(y, inside, wanted, height) \
-    const int y = (wanted) < 0 ? 0 : (wanted) >= (height) ? (height) - 1 : (wanted); \
+#define ROW_INSIDE(y, inside, wanted, height)                                                      \
+    const int y = (wanted) < 0 ? 0 : (wanted) >= (height) ? (height) - 1 : (wanted);               \
     const real inside = y == (wanted)
 
 /* Whether all rows of a step at row `top` are inside the image, as nearly always; the weights above are then
@@ -65,10 +64,10 @@ static inline real sum_lanes(lane values)
 #define ALL_INSIDE(top, height) ((top) >= RADIUS && (top) + ROWS - 1 + RADIUS < (height))
 
 static inline __attribute__((always_inline)) void filter_columns_of(
-    __global const real *image, __global const real *target, __global real *lines,
-    int top, int height, int row, int stride, const int all_inside)
+    __global const real *image, __global const real *target, __global real *lines, int top,
+    int height, int row, int stride, const int all_inside)
 {
-    FOR_EACH_BLOCK(block, row) {
+    FOR_EACH_BLOCK (block, row) {
         const int start = BLOCK_START(block, row);
         lane mean[ROWS], difference[ROWS], square[ROWS], product[ROWS];
         for (int r = 0; r < ROWS; r++)
@@ -103,8 +102,8 @@ static inline __attribute__((always_inline)) void filter_columns_of(
 }
 
 static inline void filter_columns(
-    __global const real *image, __global const real *target, __global real *lines,
-    int top, int height, int row, int stride)
+    __global const real *image, __global const real *target, __global real *lines, int top,
+    int height, int row, int stride)
 {
     if (ALL_INSIDE(top, height))
         filter_columns_of(image, target, lines, top, height, row, stride, 1);
@@ -119,7 +118,7 @@ static inline void dissimilarity(
 {
     const lane last = lanes_of_last_block(row);
     lane absolute = (lane)0, structural = (lane)0;
-    FOR_EACH_BLOCK(block, row) {
+    FOR_EACH_BLOCK (block, row) {
         const int start = BLOCK_START(block, row);
         const int at = BORDER + start;
         const lane mean = filter_row(lines + at);
@@ -128,8 +127,8 @@ static inline void dissimilarity(
         const lane product = filter_row(lines + 3 * stride + at);
 
         lane by_mean, by_square, by_product;
-        const lane lost
-            = dissimilarity_of(mean, e, square, product, &by_mean, &by_square, &by_product);
+        const lane lost = dissimilarity_of(
+            mean, e, square, product, &by_mean, &by_square, &by_product);
         STORE_GLOBAL(derivatives + at, by_mean);
         STORE_GLOBAL(derivatives + stride + at, by_square);
         STORE_GLOBAL(derivatives + 2 * stride + at, by_product);
@@ -146,9 +145,10 @@ static inline void dissimilarity(
 }
 
 static inline __attribute__((always_inline)) void filter_derivatives_of(
-    __global const real *ring, __global real *lines, int top, int height, int row, int stride, const int all_inside)
+    __global const real *ring, __global real *lines, int top, int height, int row, int stride,
+    const int all_inside)
 {
-    FOR_EACH_BLOCK(block, row) {
+    FOR_EACH_BLOCK (block, row) {
         const int start = BORDER + BLOCK_START(block, row);
         lane sum0[ROWS], sum1[ROWS], sum2[ROWS];
         for (int r = 0; r < ROWS; r++)
@@ -195,7 +195,7 @@ static inline void gradient(
     __global const real *image, __global const real *target, __global const real *lines,
     __global real *result, int row, int stride, real l1_scale, real ssim_scale)
 {
-    FOR_EACH_BLOCK(block, row) {
+    FOR_EACH_BLOCK (block, row) {
         const int start = BLOCK_START(block, row);
         const int at = BORDER + start;
         const lane by_mean = filter_row(lines + at);
@@ -203,16 +203,15 @@ static inline void gradient(
         const lane by_product = filter_row(lines + 2 * stride + at);
         const lane b = LOAD_GLOBAL(target + start);
         const lane d = LOAD_GLOBAL(image + start) - b;
-        STORE_GLOBAL(result + start,
-            slope_of(by_mean, by_square, by_product, d, b, l1_scale, ssim_scale));
+        STORE_GLOBAL(
+            result + start, slope_of(by_mean, by_square, by_product, d, b, l1_scale, ssim_scale));
     }
 }
 
 /* One work-item per band of band_rows rows. `sums` gets two sums a row; `result`
  * the gradient, if with_gradient; the scales are the weights of the two terms over the number of
  * reals in the image. `scratch` holds the lines and the ring of every band. */
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void photometric(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void photometric(
     __global const real *image, __global const real *target, __global real *scratch,
     __global real *sums, __global real *result, int height, int row, int stride, int band_rows,
     int with_gradient, real l1_scale, real ssim_scale)
@@ -222,20 +221,20 @@ void photometric(
     const int around = with_gradient ? RADIUS : 0;
     const int begin = first > around ? first - around : 0;
     const int beyond = end + around < height ? end + around : height;
-    __global real *lines
-        = scratch + get_global_id(0) * (size_t)(ROWS * MAPS + RING * DERIVATIVES) * stride;
+    __global real *lines = scratch
+        + get_global_id(0) * (size_t)(ROWS * MAPS + RING * DERIVATIVES) * stride;
     __global real *ring = lines + ROWS * MAPS * stride;
 
     for (int top = begin; top < end + around; top += ROWS) {
         if (top < beyond) {
             filter_columns(image, target, lines, top, height, row, stride);
-                for (int r = 0, y = top; r < ROWS && y < beyond; r++, y++) {
+            for (int r = 0, y = top; r < ROWS && y < beyond; r++, y++) {
                 dissimilarity(
                     image + (size_t)y * row, target + (size_t)y * row, lines + r * MAPS * stride,
                     ring + (y % RING) * DERIVATIVES * stride,
                     y >= first && y < end ? sums + 2 * y : 0, row, stride);
             }
-            }
+        }
         const int behind = top - RADIUS;
         if (!with_gradient || behind + ROWS <= first)
             continue;

@@ -67,8 +67,7 @@ static inline void sum_group(__local real *memory, real first, real second, __gl
 }
 
 /* Two sums per tile, of |x - y| and of 1 - SSIM; `derivatives[channel][map][pixel]`, if with_gradient. */
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void dissimilarity(
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void dissimilarity(
     __global const real *image, __global const real *target, __global real *derivatives,
     __global real *sums, int width, int height, int with_gradient)
 {
@@ -100,8 +99,9 @@ void dissimilarity(
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         real by_mean, by_square, by_product;
-        const real lost = dissimilarity_of(across(lines), across(lines + LINES),
-            across(lines + 2 * LINES), across(lines + 3 * LINES), &by_mean, &by_square, &by_product);
+        const real lost = dissimilarity_of(
+            across(lines), across(lines + LINES), across(lines + 2 * LINES),
+            across(lines + 3 * LINES), &by_mean, &by_square, &by_product);
         const real d = difference[(id / TILE + RADIUS) * AROUND + id % TILE + RADIUS];
         if (p.inside) {
             absolute += fabs(d);
@@ -113,14 +113,13 @@ void dissimilarity(
             out[pixels] = by_square;
             out[2 * pixels] = by_product;
         }
-        barrier(CLK_LOCAL_MEM_FENCE); /* before the next channel overwrites what others still read */
+        barrier(CLK_LOCAL_MEM_FENCE); /* before the next channel overwrites what is still read */
     }
     sum_group(lines, absolute, structural, sums + 2 * get_group_id(0));
 }
 
 /* d loss / d x. The scales are the weights of the two terms over the number of reals in the image. */
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void gradient(
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void gradient(
     __global const real *image, __global const real *target, __global const real *derivatives,
     __global real *result, int width, int height, real l1_scale, real ssim_scale)
 {
@@ -146,7 +145,8 @@ void gradient(
         barrier(CLK_LOCAL_MEM_FENCE);
         if (p.inside) {
             const size_t at = CHANNELS * pixel + channel;
-            result[at] = slope_of(across(lines), across(lines + LINES), across(lines + 2 * LINES),
+            result[at] = slope_of(
+                across(lines), across(lines + LINES), across(lines + 2 * LINES),
                 image[at] - target[at], target[at], l1_scale, ssim_scale);
         }
         barrier(CLK_LOCAL_MEM_FENCE);

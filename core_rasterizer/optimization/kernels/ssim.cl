@@ -30,7 +30,8 @@ static inline lane dissimilarity_of(
     const lane d1 = n1 + ee, d2 = n2 + v;
     const lane inverse1 = 1 / d1, inverse2 = 1 / d2;
     const lane lost = ee * inverse1 + n1 * inverse1 * v * inverse2;
-    *by_mean = 2 * inverse1 * inverse2 * ((n2 - n1) * (lost * mean - e) - (1 - lost) * mean * (v - ee));
+    *by_mean = 2 * inverse1 * inverse2
+        * ((n2 - n1) * (lost * mean - e) - (1 - lost) * mean * (v - ee));
     *by_square = (lost - 1) * inverse2;
     *by_product = 2 * n1 * inverse1 * v * inverse2 * inverse2;
     return lost;
@@ -41,7 +42,8 @@ static inline lane slope_of(
     lane by_mean, lane by_square, lane by_product, lane d, lane y, real l1_scale, real ssim_scale)
 {
     const lane sign = d > (lane)0 ? (lane)1 : d < (lane)0 ? (lane)-1 : (lane)0;
-    const lane slope = l1_scale * sign - ssim_scale * (by_mean + 2 * d * by_square + y * by_product);
+    const lane slope = l1_scale * sign
+        - ssim_scale * (by_mean + 2 * d * by_square + y * by_product);
     /* Values above 1e12 may overflow; undefined gradients become 0. */
     return lane_abs(slope) < (lane)REAL_LARGEST ? slope : (lane)0;
 }

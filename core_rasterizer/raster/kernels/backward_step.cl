@@ -27,14 +27,13 @@ static inline void prefetch_row(
     }
 }
 
-__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
-void project_backward_and_step(
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1))) void project_backward_and_step(
     __global real *restrict parameters, __global const real *modifiers, __global const wide *camera,
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
-    __global const uint *slot_count, __global real *statistics, uint count, uint capacity, int degree,
-    int modified, int collect, int detached,
-    __global real *restrict first_moments, __global real *restrict second_moments,
-    ADAM_RATES, int moving, int rows, __global int *undefined)
+    __global const uint *slot_count, __global real *statistics, uint count, uint capacity,
+    int degree, int modified, int collect, int detached, __global real *restrict first_moments,
+    __global real *restrict second_moments, ADAM_RATES, int moving, int rows,
+    __global int *undefined)
 {
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
     if (begin >= capacity)
@@ -45,9 +44,10 @@ void project_backward_and_step(
     const int written = ROW_SH + 3 * (degree + 1) * (degree + 1);
     for (int block = 0; block < size / LANES; block++) {
         prefetch_moments(first_moments, second_moments, capacity, begin, block, rows);
-        backward_of_block(parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
-            gradients + block * LANES, PROJECT_SPAN, statistics, count, capacity, degree, 0, modified,
-            0, collect, detached, 0, begin + block * LANES);
+        backward_of_block(
+            parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
+            gradients + block * LANES, PROJECT_SPAN, statistics, count, capacity, degree, 0,
+            modified, 0, collect, detached, 0, begin + block * LANES);
     }
 #if LANES == 1
 #pragma unroll
@@ -66,7 +66,8 @@ void project_backward_and_step(
             continue;
         const size_t at = row * (size_t)capacity + begin;
         prefetch_row(first_moments + at + capacity, second_moments + at + capacity);
-        found |= step_values(parameters + at, gradients + row * PROJECT_SPAN, first_moments + at,
+        found |= step_values(
+            parameters + at, gradients + row * PROJECT_SPAN, first_moments + at,
             second_moments + at, 0, size, rates[group], corrections[group]);
     }
     if (found)

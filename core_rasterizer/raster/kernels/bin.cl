@@ -36,8 +36,8 @@ static inline uint count_tiles_in(
  * the chunk's first entry of each tile. */
 static inline void fill_tiles_in(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
-    __global uint *mine, __global uint2 *pairs, __global uint *slot_start, __global uint *slot_count,
-    size_t begin, size_t end, uint slot, int tiles_x)
+    __global uint *mine, __global uint2 *pairs, __global uint *slot_start,
+    __global uint *slot_count, size_t begin, size_t end, uint slot, int tiles_x)
 {
     for (size_t r = begin; r < end; r++) {
         const uint gaussian = order[r];
@@ -48,32 +48,30 @@ static inline void fill_tiles_in(
         }
         const uint4 cover = covers[gaussian];
         slot_start[gaussian] = slot;
-        FOR_EACH_TILE(cover, records + (size_t)gaussian * REC_SIZE,
-            { pairs[mine[tile]++] = (uint2)(gaussian, slot++); })
+        FOR_EACH_TILE(cover, records + (size_t)gaussian * REC_SIZE, {
+            pairs[mine[tile]++] = (uint2)(gaussian, slot++);
+        })
         slot_count[gaussian] = slot - slot_start[gaussian];
     }
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void count_tiles(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void count_tiles(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global uint *counts, __global uint *chunk_pairs, __global const ulong *counters, uint tiles,
     int tiles_x, uint pair_limit)
 {
     const size_t chunks = get_global_size(0), chunk = get_global_id(0);
     const size_t visible = counters[COUNT_VISIBLE];
-    chunk_pairs[chunk] = count_tiles_in(records, covers, order, counts + chunk * tiles,
-        chunk_pairs + chunks, visible * chunk / chunks, visible * (chunk + 1) / chunks, tiles, tiles_x,
-        pair_limit);
+    chunk_pairs[chunk] = count_tiles_in(
+        records, covers, order, counts + chunk * tiles, chunk_pairs + chunks,
+        visible * chunk / chunks, visible * (chunk + 1) / chunks, tiles, tiles_x, pair_limit);
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void fill_tiles(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void fill_tiles(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
-    __global uint *counts, __global const uint *tile_starts,
-    __global uint *chunk_starts, __global uint2 *pairs, __global uint *slot_start,
-    __global uint *slot_count, __global const ulong *counters, uint tiles, int tiles_x,
-    uint pair_capacity)
+    __global uint *counts, __global const uint *tile_starts, __global uint *chunk_starts,
+    __global uint2 *pairs, __global uint *slot_start, __global uint *slot_count,
+    __global const ulong *counters, uint tiles, int tiles_x, uint pair_capacity)
 {
     const size_t chunks = get_global_size(0), chunk = get_global_id(0);
     if (chunk == 0)
@@ -84,6 +82,7 @@ void fill_tiles(
     for (uint tile = 0; tile < tiles; tile++)
         mine[tile] += tile_starts[tile];
     const size_t visible = counters[COUNT_VISIBLE];
-    fill_tiles_in(records, covers, order, mine, pairs, slot_start, slot_count,
-        visible * chunk / chunks, visible * (chunk + 1) / chunks, chunk_starts[chunk], tiles_x);
+    fill_tiles_in(
+        records, covers, order, mine, pairs, slot_start, slot_count, visible * chunk / chunks,
+        visible * (chunk + 1) / chunks, chunk_starts[chunk], tiles_x);
 }

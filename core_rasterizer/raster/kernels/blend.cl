@@ -42,10 +42,10 @@ static inline lane power_of_two(lane x)
 }
 
 typedef struct {
-    lane raw;         /* opacity times the Gaussian's value, unclamped */
-    lane alpha;       /* clamped at 0.99; 0 below the cut-off */
-    lane weight;      /* alpha times transmittance; 0 where nothing is added */
-    lane next;        /* transmittance behind the Gaussian; meaningful where `unfinished` */
+    lane raw; /* opacity times the Gaussian's value, unclamped */
+    lane alpha; /* clamped at 0.99; 0 below the cut-off */
+    lane weight; /* alpha times transmittance; 0 where nothing is added */
+    lane next; /* transmittance behind the Gaussian; meaningful where `unfinished` */
     lane_mask unfinished; /* the pixel was not finished, and is not finished by this Gaussian */
 } contribution;
 

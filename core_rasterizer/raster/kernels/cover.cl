@@ -82,20 +82,20 @@ static inline uint4 cover_of(
 }
 
 /* Run BODY with `tile` set for every tile that the Gaussian reaches, row by row. */
-#define FOR_EACH_TILE(cover, record, BODY)                                                        \
-    {                                                                                             \
-        const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                      \
-        const int width = cover.y & 0xFFFF, height = cover.y >> 16;                               \
-        const int large = width * height > BOX_BITS;                                              \
-        const real floor_of_alpha                                                                 \
-            = large ? -log2((real)ALPHA_CUT_INVERSE * (record)[REC_OPACITY]) : (real)0;           \
-        ulong mask = cover.z | (ulong)cover.w << 32;                                              \
-        for (int y = y0; y < y0 + height; y++)                                                    \
-            for (int x = x0; x < x0 + width; x++) {                                               \
-                if (large ? reaches(record, floor_of_alpha, x, y) : (int)(mask & 1)) {            \
-                    const int tile = y * tiles_x + x;                                             \
-                    BODY                                                                          \
-                }                                                                                 \
-                mask >>= 1;                                                                       \
-            }                                                                                     \
+#define FOR_EACH_TILE(cover, record, BODY)                                                         \
+    {                                                                                              \
+        const int x0 = cover.x & 0xFFFF, y0 = cover.x >> 16;                                       \
+        const int width = cover.y & 0xFFFF, height = cover.y >> 16;                                \
+        const int large = width * height > BOX_BITS;                                               \
+        const real floor_of_alpha = large ? -log2((real)ALPHA_CUT_INVERSE * (record)[REC_OPACITY]) \
+                                          : (real)0;                                               \
+        ulong mask = cover.z | (ulong)cover.w << 32;                                               \
+        for (int y = y0; y < y0 + height; y++)                                                     \
+            for (int x = x0; x < x0 + width; x++) {                                                \
+                if (large ? reaches(record, floor_of_alpha, x, y) : (int)(mask & 1)) {             \
+                    const int tile = y * tiles_x + x;                                              \
+                    BODY                                                                           \
+                }                                                                                  \
+                mask >>= 1;                                                                        \
+            }                                                                                      \
     }

@@ -2,7 +2,8 @@
  * prefix sum over a long array needs one launch, not two. Sums are exact integers, so results do not depend
  * on how an array is divided. */
 
-#define SCAN_ROOT 16 /* a divisor of LIST_GROUP; a work-item adds at most three times as many values */
+/* A divisor of LIST_GROUP; a work-item adds at most three times as many values. */
+#define SCAN_ROOT 16
 #define SCAN_PARTS (LIST_GROUP / SCAN_ROOT)
 
 typedef struct {
@@ -59,8 +60,8 @@ static inline ulong starts_of_runs(
 }
 
 /* Turns each run of 2^run_bits entries into exclusive prefix sums. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void scan_runs(__global uint *table, __global ulong *totals, uint entries, uint run_bits)
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void scan_runs(
+    __global uint *table, __global ulong *totals, uint entries, uint run_bits)
 {
     __local scan_memory memory;
     const size_t begin = (size_t)get_group_id(0) << run_bits;

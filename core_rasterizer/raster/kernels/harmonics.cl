@@ -51,8 +51,10 @@ static inline void sh_direction_gradient(
     *dx -= SH_C1 * weight[3];
     if (degree < 2)
         return;
-    *dx += SH_C2A * (y * weight[4] - z * weight[7]) + 2 * x * (SH_C2C * weight[8] - SH_C2B * weight[6]);
-    *dy += SH_C2A * (x * weight[4] - z * weight[5]) - 2 * y * (SH_C2C * weight[8] + SH_C2B * weight[6]);
+    *dx += SH_C2A * (y * weight[4] - z * weight[7])
+        + 2 * x * (SH_C2C * weight[8] - SH_C2B * weight[6]);
+    *dy += SH_C2A * (x * weight[4] - z * weight[5])
+        - 2 * y * (SH_C2C * weight[8] + SH_C2B * weight[6]);
     *dz += 4 * SH_C2B * z * weight[6] - SH_C2A * (y * weight[5] + x * weight[7]);
     if (degree < 3)
         return;
@@ -62,7 +64,8 @@ static inline void sh_direction_gradient(
         + 2 * SH_C3E * xz * weight[14] - 3 * SH_C3A * (xx - yy) * weight[15];
     *dy += -3 * SH_C3A * (xx - yy) * weight[9] + SH_C3B * xz * weight[10]
         - SH_C3C * (4 * zz - xx - 3 * yy) * weight[11] - 6 * SH_C3D * yz * weight[12]
-        + 2 * SH_C3C * xy * weight[13] - 2 * SH_C3E * yz * weight[14] + 6 * SH_C3A * xy * weight[15];
+        + 2 * SH_C3C * xy * weight[13] - 2 * SH_C3E * yz * weight[14]
+        + 6 * SH_C3A * xy * weight[15];
     *dz += SH_C3B * xy * weight[10] - 8 * SH_C3C * yz * weight[11]
         + 3 * SH_C3D * (2 * zz - xx - yy) * weight[12] - 8 * SH_C3C * xz * weight[13]
         + SH_C3E * (xx - yy) * weight[14];

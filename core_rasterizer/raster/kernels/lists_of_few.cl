@@ -13,8 +13,7 @@ static inline uint starts_of(__global uint *counts, uint buckets)
     return sum;
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void lists_of_few(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void lists_of_few(
     __global const real *records, __global const uint4 *covers, __global const uint *keys,
     __global uint *keys_a, __global uint *order_a, __global uint *keys_b, __global uint *order_b,
     __global uint *counts, __global uint *tile_starts, __global uint2 *pairs,

@@ -34,8 +34,7 @@ static inline uint position_of_bit(ulong mask, uint n)
 }
 
 /* offsets[r]: the candidates before the r-th visible Gaussian in its run of 2^run_bits. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void scan_candidates(
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void scan_candidates(
     __global const uint4 *covers, __global const uint *order, __global ulong *offsets,
     __global ulong *totals, __global uint *chunk_pairs, __global ulong *counters, uint pair_chunks,
     uint run_bits)
@@ -49,8 +48,8 @@ void scan_candidates(
     ulong carry = 0, total;
     for (size_t batch = begin; batch < end; batch += LIST_GROUP) {
         const size_t r = batch + id;
-        const ulong before
-            = scan_group(&memory, r < end ? candidates_of(covers[order[r]]) : 0, &total);
+        const ulong before = scan_group(
+            &memory, r < end ? candidates_of(covers[order[r]]) : 0, &total);
         if (r < end)
             offsets[r] = carry + before;
         carry += total;
@@ -93,13 +92,13 @@ static inline uint find_owner(
     }
     found->rank = low;
     found->first = first_candidate(starts, offsets, low, run_bits);
-    found->end = low + 1 < visible ? first_candidate(starts, offsets, low + 1, run_bits) : candidates;
+    found->end = low + 1 < visible ? first_candidate(starts, offsets, low + 1, run_bits)
+                                   : candidates;
     return steps;
 }
 
 /* Tile of the n-th candidate of a Gaussian, or -1 if the Gaussian does not reach it. */
-static inline int tile_of_candidate(
-    uint4 cover, __global const real *record, uint n, int tiles_x)
+static inline int tile_of_candidate(uint4 cover, __global const real *record, uint n, int tiles_x)
 {
     const uint width = cover.y & 0xFFFF;
     const int large = is_large(cover);
@@ -112,8 +111,7 @@ static inline int tile_of_candidate(
 
 /* chunk_pairs[chunk]: the pairs among the chunk's share of the candidates. All report their pairs to the
  * element after the last chunk; beyond the limit the render fails, so all stop early. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void count_pairs(
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void count_pairs(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global const ulong *offsets, __global const ulong *totals, __global uint *chunk_pairs,
     __global ulong *counters, uint runs, uint run_bits, uint pair_limit)
@@ -130,14 +128,15 @@ void count_pairs(
     ulong pairs = 0, total;
     for (ulong candidate = candidates * chunk / chunks + get_local_id(0);
          candidate < end && *reports <= pair_limit / PAIRS_PER_REPORT; candidate += LIST_GROUP) {
-        const uint searched
-            = find_owner(starts, offsets, run_bits, visible, candidates, candidate, &found);
+        const uint searched = find_owner(
+            starts, offsets, run_bits, visible, candidates, candidate, &found);
         STEPS(searched + 1);
         const uint gaussian = order[found.rank];
         const uint4 cover = covers[gaussian];
         if (is_large(cover)
-            && tile_of_candidate(cover, records + (size_t)gaussian * REC_SIZE,
-                   (uint)(candidate - found.first), 0) < 0)
+            && tile_of_candidate(
+                   cover, records + (size_t)gaussian * REC_SIZE, (uint)(candidate - found.first), 0)
+                < 0)
             continue;
         if (++pairs % PAIRS_PER_REPORT == 0)
             atomic_inc(reports);
@@ -151,8 +150,7 @@ void count_pairs(
 
 /* tiles[slot] and gaussians[slot] of every pair, and each Gaussian's slots; `slot_count` must be 0 before.
  * Does nothing if the arrays are too small. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void emit_pairs(
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void emit_pairs(
     __global const real *records, __global const uint4 *covers, __global const uint *order,
     __global const ulong *offsets, __global const ulong *totals, __global const uint *chunk_pairs,
     __global uint *tiles, __global uint *gaussians, __global uint *slot_start,
@@ -186,14 +184,15 @@ void emit_pairs(
         uint gaussian = 0;
         uint4 cover = (uint4)(0);
         if (candidate < end) {
-            const uint searched
-                = find_owner(starts, offsets, run_bits, visible, candidates, candidate, &found);
+            const uint searched = find_owner(
+                starts, offsets, run_bits, visible, candidates, candidate, &found);
             STEPS(searched + 6);
             gaussian = order[found.rank];
             cover = covers[gaussian];
             is_first = candidate == found.first;
-            tile = tile_of_candidate(cover, records + (size_t)gaussian * REC_SIZE,
-                (uint)(candidate - found.first), tiles_x);
+            tile = tile_of_candidate(
+                cover, records + (size_t)gaussian * REC_SIZE, (uint)(candidate - found.first),
+                tiles_x);
         }
         ulong total;
         const uint own = (uint)(slot + scan_group(&memory, tile >= 0, &total));
@@ -214,8 +213,7 @@ void emit_pairs(
 }
 
 /* From the pairs' slots in the order of their tiles: the lists, and where each tile's begins. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void finish_lists(
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void finish_lists(
     __global const uint *tiles, __global const uint *slots, __global const uint *gaussians,
     __global uint *tile_starts, __global uint2 *pairs, __global ulong *counters, uint tile_count,
     uint pair_capacity)

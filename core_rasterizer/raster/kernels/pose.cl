@@ -32,8 +32,8 @@ static inline void store_pose_sums(
 }
 
 /* chunk_sums[chunk][k]: the blocks of a chunk in their order. */
-__kernel __attribute__((reqd_work_group_size(1, POSE_SIZE, 1)))
-void sum_poses(__global const wide *pose_sums, __global wide *chunk_sums, uint blocks)
+__kernel __attribute__((reqd_work_group_size(1, POSE_SIZE, 1))) void sum_poses(
+    __global const wide *pose_sums, __global wide *chunk_sums, uint blocks)
 {
     const size_t chunks = get_global_size(0), chunk = get_global_id(0), k = get_global_id(1);
     wide sum = 0;

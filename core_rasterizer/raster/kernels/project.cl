@@ -50,8 +50,8 @@ static inline void shade(
 static inline void project_and_pack(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
-    __global uint4 *covers,
-    uint count, uint capacity, int degree, int activated, int modified, size_t i)
+    __global uint4 *covers, uint count, uint capacity, int degree, int activated, int modified,
+    size_t i)
 {
 #pragma unroll
     for (int l = 0; l < LANES; l++) {
@@ -133,19 +133,19 @@ static inline void project_and_pack(
                 boxes, l, records + (i + l) * REC_SIZE, LANE_AT(floor_of_alpha, l));
             covers[i + l] = cover;
             if (cover.z | cover.w)
-                keys[i + l] = as_uint((float)LANE_AT(g.z, l)); /* positive floats sort as integers */
+                /* Positive floats sort as integers. */
+                keys[i + l] = as_uint((float)LANE_AT(g.z, l));
         }
 }
 
-__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
-void project(
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1))) void project(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global real *records, __global uint *keys, __global int *slot_count, __global uchar *clamped,
-    __global uint4 *covers,
-    uint count, uint capacity, int degree, int activated, int modified)
+    __global uint4 *covers, uint count, uint capacity, int degree, int activated, int modified)
 {
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
     for (size_t i = begin; i < begin + PROJECT_SPAN && i < capacity; i += LANES)
-        project_and_pack(parameters, modifiers, camera, records, keys, slot_count, clamped, covers, count,
+        project_and_pack(
+            parameters, modifiers, camera, records, keys, slot_count, clamped, covers, count,
             capacity, degree, activated, modified, i);
 }

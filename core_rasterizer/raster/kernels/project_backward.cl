@@ -54,7 +54,8 @@ static inline void prefetch_slots(__global const real *pair_sums, __global const
 
 /* Hardware does not prefetch sixty rows that are written either, and an uncached line is read before it is
  * written. Addresses beyond a row's end are harmless. */
-static inline void prefetch_gradients(__global const real *gradients, size_t capacity, size_t i, int count)
+static inline void prefetch_gradients(
+    __global const real *gradients, size_t capacity, size_t i, int count)
 {
     if (LANES > 1 && i % 16 == 0) /* a cache line */
         for (int row = 0; row < count; row++)
@@ -94,8 +95,8 @@ static inline void put_unless(int detached, GRADIENT *row, lane value, int accum
  * `d_view`. */
 static inline void color_backward(
     __global const real *parameters, GRADIENT *gradients, size_t gradient_stride, size_t capacity,
-    size_t i, __global const wide *camera, int degree, const lane *d_color, lane_mask visible, int accumulate,
-    int detached, lane *d_mean, lane *d_view)
+    size_t i, __global const wide *camera, int degree, const lane *d_color, lane_mask visible,
+    int accumulate, int detached, lane *d_mean, lane *d_view)
 {
     __global const real *row = parameters + i;
     lane dx = LOAD_GLOBAL(row + ROW_MEAN * capacity) - (real)camera[CAMERA_CENTER];
@@ -121,7 +122,9 @@ static inline void color_backward(
             const size_t at = (ROW_SH + 3 * k + c) * capacity;
             if (k > 0)
                 sum += d_color[c] * (visible ? LOAD_GLOBAL(row + at) : (lane)0);
-            put_unless(detached & BIT_SH, gradients + (ROW_SH + 3 * k + c) * gradient_stride, basis[k] * d_color[c], accumulate);
+            put_unless(
+                detached & BIT_SH, gradients + (ROW_SH + 3 * k + c) * gradient_stride,
+                basis[k] * d_color[c], accumulate);
         }
         weight[k] = sum;
     }
@@ -229,7 +232,7 @@ static inline void covariance_backward(
     d_camera[1] -= g->free_y ? d_j12 * g->j11 * inverse_z : (lane)0;
     d_camera[2] -= inverse_z
         * (d_j00 * g->j00 + d_j11 * g->j11 + d_j02 * g->j02 * (g->free_x ? (lane)2 : (lane)1)
-            + d_j12 * g->j12 * (g->free_y ? (lane)2 : (lane)1));
+           + d_j12 * g->j12 * (g->free_y ? (lane)2 : (lane)1));
 }
 
 /* Gradients of the block from column i on, which `gradients` points to, in rows of `gradient_stride`. */
@@ -300,8 +303,9 @@ static inline void backward_of_block(
     d_camera[1] = fy * inverse_z * d_mean_y;
     d_camera[2] = sums[PAIR_Z]
         - inverse_z * inverse_z * (fx * g.x * d_mean_x + fy * g.y * d_mean_y);
-    covariance_backward(&g, d_xx, d_xy, d_yy, d_log_opacity, activated, camera, d_scale, d_quaternion,
-        d_camera, d_u);
+    covariance_backward(
+        &g, d_xx, d_xy, d_yy, d_log_opacity, activated, camera, d_scale, d_quaternion, d_camera,
+        d_u);
     __global const wide *w = camera + CAMERA_ROTATION;
     real r[9];
 #pragma unroll
@@ -315,24 +319,29 @@ static inline void backward_of_block(
 #pragma unroll
     for (int channel = 0; channel < 3; channel++) /* a clamped colour has no gradient */
         d_color[channel] = (dark & 1 << channel) == 0 ? sums[PAIR_RED + channel] : (lane)0;
-    color_backward(parameters, gradients, gradient_stride, stride, i, camera, degree, d_color, visible, accumulate,
-        detached, d_mean, d_view);
+    color_backward(
+        parameters, gradients, gradient_stride, stride, i, camera, degree, d_color, visible,
+        accumulate, detached, d_mean, d_view);
 #ifdef POSED
     store_pose_sums(pose_sums, &g, parameters, stride, i, visible, d_camera, d_u, d_view);
 #endif
 
 #pragma unroll
     for (int k = 0; k < 3; k++) {
-        put_unless(detached & BIT_MEANS, gradients + (ROW_MEAN + k) * gradient_stride,
+        put_unless(
+            detached & BIT_MEANS, gradients + (ROW_MEAN + k) * gradient_stride,
             visible ? d_mean[k] : (lane)0, accumulate);
-        put_unless(detached & BIT_LOG_SCALES, gradients + (ROW_SCALE + k) * gradient_stride,
+        put_unless(
+            detached & BIT_LOG_SCALES, gradients + (ROW_SCALE + k) * gradient_stride,
             visible ? d_scale[k] : (lane)0, accumulate);
     }
 #pragma unroll
     for (int k = 0; k < 4; k++)
-        put_unless(detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * gradient_stride,
+        put_unless(
+            detached & BIT_QUATERNIONS, gradients + (ROW_QUATERNION + k) * gradient_stride,
             visible ? d_quaternion[k] : (lane)0, accumulate);
-    put_unless(detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * gradient_stride,
+    put_unless(
+        detached & BIT_OPACITY_LOGITS, gradients + ROW_OPACITY * gradient_stride,
         visible ? d_log_opacity / g.opacity * g.opacity_slope : (lane)0, accumulate);
     if (collect) {
         const lane ndc_x = d_mean_x * (real)(camera[CAMERA_WIDTH] / 2);
@@ -350,17 +359,17 @@ static inline void backward_of_block(
 }
 
 #ifndef STEP
-__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1)))
-void project_backward(
+__kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1))) void project_backward(
     __global const real *parameters, __global const real *modifiers, __global const wide *camera,
     __global const uchar *clamped, __global const real *pair_sums, __global const uint *slot_start,
-    __global const uint *slot_count, __global real *gradients, __global real *statistics, uint count,
-    uint capacity, int degree, int activated, int modified, int accumulate, int collect,
+    __global const uint *slot_count, __global real *gradients, __global real *statistics,
+    uint count, uint capacity, int degree, int activated, int modified, int accumulate, int collect,
     int detached, __global wide *pose_sums /* of kernels with POSED; others ignore it */)
 {
     const size_t begin = get_global_id(0) * PROJECT_SPAN;
     for (size_t i = begin; i < begin + PROJECT_SPAN && i < count; i += LANES)
-        backward_of_block(parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
+        backward_of_block(
+            parameters, modifiers, camera, clamped, pair_sums, slot_start, slot_count,
             gradients + i, capacity, statistics, count, capacity, degree, activated, modified,
             accumulate, collect, detached, pose_sums, i);
 }

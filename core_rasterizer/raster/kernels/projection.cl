@@ -10,28 +10,28 @@
 #define DILATION ((real)VARIANCE_ADDED)
 
 typedef struct {
-    lane x, y, z;             /* mean in camera coordinates */
-    lane mean_x, mean_y;      /* mean on the image, pixels */
-    lane rest_x, rest_y;      /* rounding errors of mean_x and mean_y */
-    lane ratio_x, ratio_y;    /* x/z and y/z after the clamp */
+    lane x, y, z; /* mean in camera coordinates */
+    lane mean_x, mean_y; /* mean on the image, pixels */
+    lane rest_x, rest_y; /* rounding errors of mean_x and mean_y */
+    lane ratio_x, ratio_y; /* x/z and y/z after the clamp */
     lane_mask free_x, free_y; /* where the clamp is inactive */
-    lane j00, j02, j11, j12;  /* Jacobian of the projection */
-    lane u[9];                /* camera-from-Gaussian rotation, row-major */
+    lane j00, j02, j11, j12; /* Jacobian of the projection */
+    lane u[9]; /* camera-from-Gaussian rotation, row-major */
     lane scale[3];
-    lane a0[3], a1[3];        /* rows of J W R S; their Gram matrix is the 2D covariance */
+    lane a0[3], a1[3]; /* rows of J W R S; their Gram matrix is the 2D covariance */
 #ifdef COMPENSATED
-    lane cross[3];            /* a0 x a1; its square is the determinant before dilation */
+    lane cross[3]; /* a0 x a1; its square is the determinant before dilation */
 #endif
 #ifdef SMOOTHED
-    lane shrinkage[3];        /* scale before smoothing over scale after it */
-    lane share[3];            /* share of smoothing in the variance, from 0 to 1 */
+    lane shrinkage[3]; /* scale before smoothing over scale after it */
+    lane share[3]; /* share of smoothing in the variance, from 0 to 1 */
 #endif
-    lane qw, qx, qy, qz;      /* unit quaternion */
-    lane inverse_norm;        /* 1 / |q|, 0 where q was zero */
+    lane qw, qx, qy, qz; /* unit quaternion */
+    lane inverse_norm; /* 1 / |q|, 0 where q was zero */
     lane covariance_xx, covariance_xy, covariance_yy;
     lane determinant;
-    lane opacity;             /* activated, modifier included */
-    lane opacity_slope;       /* d opacity / d parameter */
+    lane opacity; /* activated, modifier included */
+    lane opacity_slope; /* d opacity / d parameter */
 } projected;
 
 #define ROWS_AHEAD 64 /* Gaussians */
@@ -45,8 +45,7 @@ static inline void prefetch_rows(__global const real *rows, size_t capacity, siz
 }
 
 /* Opacity and its slope: the parameter is a logit, or the opacity itself where `activated`. */
-static inline void read_opacity(
-    projected *g, lane parameter, lane modifier, int activated)
+static inline void read_opacity(projected *g, lane parameter, lane modifier, int activated)
 {
     if (activated) {
         g->opacity = parameter * modifier;
@@ -116,8 +115,8 @@ static inline void filter_opacity(projected *g)
 #endif
 #ifdef COMPENSATED
     /* Mip-Splatting's 2D filter (eq. 10): dilation preserves the Gaussian's mass. */
-    const lane undilated
-        = g->cross[0] * g->cross[0] + g->cross[1] * g->cross[1] + g->cross[2] * g->cross[2];
+    const lane undilated = g->cross[0] * g->cross[0] + g->cross[1] * g->cross[1]
+        + g->cross[2] * g->cross[2];
     const lane compensation = lane_sqrt(undilated / g->determinant);
     g->opacity *= compensation;
     g->opacity_slope *= compensation;
@@ -242,7 +241,8 @@ __attribute__((always_inline)) static inline void project_block(
     project_mean(g, mx, my, mz, camera);
 
     lane rotation[9];
-    read_rotation(g, LOAD_GLOBAL(row + ROW_QUATERNION * capacity),
+    read_rotation(
+        g, LOAD_GLOBAL(row + ROW_QUATERNION * capacity),
         LOAD_GLOBAL(row + (ROW_QUATERNION + 1) * capacity),
         LOAD_GLOBAL(row + (ROW_QUATERNION + 2) * capacity),
         LOAD_GLOBAL(row + (ROW_QUATERNION + 3) * capacity), rotation);

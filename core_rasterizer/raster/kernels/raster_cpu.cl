@@ -6,7 +6,7 @@
  * column, and fits a small Gaussian better than one long row. */
 #define COLUMNS 8
 #define ROWS (LANES / COLUMNS)
-#define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* a vector that starts inside the tile may end beyond it */
+#define STRIDE (ROWS * (TILE_WIDTH + COLUMNS)) /* vectors may end beyond the tile */
 #define PIXELS ((TILE_HEIGHT + ROWS - 1) / ROWS * STRIDE)
 #define AT(x, y) ((y) / ROWS * STRIDE + (x) * ROWS + (y) % ROWS)
 /* b^2 / (a c) above which an ellipse is slanted: 4 is a line, and 3 fills 39 % of its box. */
@@ -171,8 +171,7 @@ static inline __attribute__((always_inline)) void blend(
     }
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void raster(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void raster(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const ulong *counters, __global const wide *camera, __global real *rgb,
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
@@ -353,8 +352,9 @@ static inline __attribute__((always_inline)) void walk_back(
     const tile_area area = area_of(tile, tiles_x, camera);
     real t[PIXELS], red[PIXELS], green[PIXELS], blue[PIXELS], z[PIXELS], rest[PIXELS];
     start_pixels(t, area);
-    load_gradients(area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth,
-        d_alpha, red, green, blue, z, rest);
+    load_gradients(
+        area, (int)camera[CAMERA_WIDTH], rgb, depth, final_transmittance, d_rgb, d_depth, d_alpha,
+        red, green, blue, z, rest);
 
     uint p = begin;
     for (; p < end; p++) {
@@ -368,12 +368,11 @@ static inline __attribute__((always_inline)) void walk_back(
         const pixel_box box = box_in(g, area);
         lane_sums sums = {(lane)0};
         if (is_slanted(g, box))
-            blend_backward(
-                g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 1);
+            blend_backward(g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 1);
         else
-            blend_backward(
-                g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 0);
-        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums + (size_t)pairs[p].y * PAIR_SIZE);
+            blend_backward(g, area, box, t, red, green, blue, z, rest, &sums, with_depth, 0);
+        __global quad_anywhere *out = (__global quad_anywhere *)(pair_sums
+                                                                 + (size_t)pairs[p].y * PAIR_SIZE);
         out[0] = sum_quad(sums.p, sums.px, sums.py, sums.pxx);
         out[1] = sum_quad(sums.pxy, sums.pyy, sums.red, sums.green);
 #ifdef ABSOLUTE
@@ -388,8 +387,7 @@ static inline __attribute__((always_inline)) void walk_back(
             pair_sums[(size_t)pairs[p].y * PAIR_SIZE + k] = 0;
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void raster_backward(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void raster_backward(
     __global const real *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
@@ -398,9 +396,11 @@ void raster_backward(
 {
     /* Without a gradient of depth, this saves a load and two multiplications per pixel. */
     if (with_depth)
-        walk_back(records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb,
-            d_depth, d_alpha, pair_sums, tiles_x, 1);
+        walk_back(
+            records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb, d_depth,
+            d_alpha, pair_sums, tiles_x, 1);
     else
-        walk_back(records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb,
-            d_depth, d_alpha, pair_sums, tiles_x, 0);
+        walk_back(
+            records, pairs, tile_starts, camera, rgb, depth, final_transmittance, d_rgb, d_depth,
+            d_alpha, pair_sums, tiles_x, 0);
 }

@@ -4,14 +4,15 @@
 #define GROUP (TILE_WIDTH * TILE_HEIGHT)
 
 #define BOX(quads) ((quads)[REC_X0 / 4])
-#define LOAD_RECORD(g, quads)                                                                     \
-    real g[REC_SIZE];                                                                               \
-    for (int q = 0; q < QUADS; q++)                                                               \
-        vstore4((quads)[q], q, g)
+#define LOAD_RECORD(g, quads)                                                                      \
+    real g[REC_SIZE];                                                                              \
+    for (int q = 0; q < QUADS; q++)                                                                \
+    vstore4((quads)[q], q, g)
 
 /* Copies the records of pairs [p, p + BUCKET) into local memory. */
 static inline void stage(
-    __local quad *staged, __global const quad *records, __global const uint2 *pairs, uint p, uint end)
+    __local quad *staged, __global const quad *records, __global const uint2 *pairs, uint p,
+    uint end)
 {
     for (uint k = get_local_id(0); k < BUCKET * QUADS; k += GROUP)
         if (p + k / QUADS < end)
@@ -55,8 +56,7 @@ static inline int any_in_group(__local int *flag, int flagged)
     return *flag;
 }
 
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void raster(
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void raster(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const ulong *counters, __global const wide *camera, __global real *rgb,
     __global real *depth, __global real *alpha, __global real *final_transmittance, int tiles_x,
@@ -118,8 +118,7 @@ static inline uint place_of_buckets(__global const uint *tile_starts, uint tile)
 }
 
 /* Stores transmittance and `rest` (see raster_cpu.cl) of each pixel, or in `unfinished` that none is unfinished. */
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void save_pixel_states(
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void save_pixel_states(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *rgb, __global const real *depth,
     __global const real *final_transmittance, __global const real *d_rgb,
@@ -206,8 +205,7 @@ static inline void add_pixel(
                z = pixels->z[k];
     const contribution m = contribution_at(exponent_at(g, dx, dy), g[REC_OPACITY], t);
     pixels->t[k] = keep_transmittance(m, t);
-    const real value
-        = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;
+    const real value = g[REC_RED] * red + g[REC_GREEN] * green + g[REC_BLUE] * blue + g[REC_Z] * z;
     const real rest = pixels->rest[k] - m.weight * value;
     pixels->rest[k] = rest;
     if (m.weight > 0 && m.raw <= ALPHA_MAX) {
@@ -233,18 +231,18 @@ static inline void add_pixel(
 /* One work-group per bucket. In each round a work-item takes one pixel, a round after the work-item of the
  * pair before, so that pixels take pairs in depth order and pairs sum over pixels in a fixed order. Each
  * work-item keeps its record in registers: in local memory all records begin in the same two banks. */
-__kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
-void raster_backward(
+__kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1))) void raster_backward(
     __global const quad *records, __global const uint2 *pairs, __global const uint *tile_starts,
     __global const wide *camera, __global const real *d_rgb, __global const real *d_depth,
-    __global const real *pixel_states, __global const uint *unfinished, __global quad *pair_sums, uint tiles,
-    int tiles_x, int with_depth)
+    __global const real *pixel_states, __global const uint *unfinished, __global quad *pair_sums,
+    uint tiles, int tiles_x, int with_depth)
 {
     __local tile_pixels pixels;
     const size_t place = get_group_id(0);
     const int id = get_local_id(0);
     uint tile = 0;
-    for (uint beyond = tiles; beyond - tile > 1;) { /* the last tile whose buckets do not begin later */
+    /* The last tile whose buckets do not begin later. */
+    for (uint beyond = tiles; beyond - tile > 1;) {
         const uint middle = tile + (beyond - tile) / 2;
         if (place_of_buckets(tile_starts, middle) <= place)
             tile = middle;
@@ -252,8 +250,7 @@ void raster_backward(
             beyond = middle;
     }
     const uint end = tile_starts[tile + 1];
-    const size_t first
-        = tile_starts[tile] + (place - place_of_buckets(tile_starts, tile)) * BUCKET;
+    const size_t first = tile_starts[tile] + (place - place_of_buckets(tile_starts, tile)) * BUCKET;
     if (first >= end) /* an unused place */
         return;
     const int has_pair = first + id < end;
@@ -264,7 +261,8 @@ void raster_backward(
         __global const quad *quads = records + (has_pair ? (size_t)pairs[first + id].x : 0) * QUADS;
         LOAD_RECORD(g, quads);
         const quad box = has_pair ? BOX(quads) : (quad)0;
-        load_pixels(&pixels, tile, tiles_x, camera, d_rgb, d_depth, pixel_states + place * 2 * GROUP,
+        load_pixels(
+            &pixels, tile, tiles_x, camera, d_rgb, d_depth, pixel_states + place * 2 * GROUP,
             with_depth);
         const int x0 = (int)(tile % tiles_x) * TILE_WIDTH, y0 = (int)(tile / tiles_x) * TILE_HEIGHT;
         for (int round = 0; round < GROUP + BUCKET - 1; round++) {

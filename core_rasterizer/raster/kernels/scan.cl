@@ -2,8 +2,8 @@
  * have parallel work: per bucket over the chunks, then over the buckets. Sums are exact integers, so
  * the result does not depend on the number of chunks. */
 
-__kernel __attribute__((reqd_work_group_size(SCAN_GROUP, 1, 1)))
-void scan_chunks(__global uint *counts, __global uint *totals, uint buckets, uint chunks)
+__kernel __attribute__((reqd_work_group_size(SCAN_GROUP, 1, 1))) void scan_chunks(
+    __global uint *counts, __global uint *totals, uint buckets, uint chunks)
 {
     const size_t bucket = get_global_id(0);
     if (bucket >= buckets)
@@ -20,8 +20,8 @@ void scan_chunks(__global uint *counts, __global uint *totals, uint buckets, uin
 
 /* One work-group. Turns totals into exclusive starts and stores the grand total, in 64 bits. Each
  * work-item sums its share of neighbouring buckets, then the shares before it. */
-__kernel __attribute__((reqd_work_group_size(SCAN_ITEMS, 1, 1)))
-void scan_buckets(__global uint *totals, __global ulong *counters, uint buckets, uint counter)
+__kernel __attribute__((reqd_work_group_size(SCAN_ITEMS, 1, 1))) void scan_buckets(
+    __global uint *totals, __global ulong *counters, uint buckets, uint counter)
 {
     __local ulong shares[SCAN_ITEMS];
     const uint id = get_local_id(0);

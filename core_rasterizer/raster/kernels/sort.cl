@@ -39,8 +39,7 @@ static inline void scatter_digits_in(
     }
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void count_digits(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void count_digits(
     __global const uint *keys, __global uint *counts, __global const ulong *counters, uint count,
     uint shift, uint first)
 {
@@ -49,8 +48,7 @@ void count_digits(
     count_digits_in(keys, counts + get_global_id(0) * BUCKETS, begin, end, shift);
 }
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void scatter_digits(
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void scatter_digits(
     __global const uint *keys, __global const uint *order, __global uint *keys_out,
     __global uint *order_out, __global uint *counts, __global const uint *starts,
     __global const ulong *counters, uint count, uint shift, uint first)

@@ -14,17 +14,17 @@ static inline size_t elements_of(__global const ulong *counters, int counter, ui
     return counters[counter] > limit ? 0 : counters[counter];
 }
 
-static inline uint digit_at(__global const uint *keys, size_t i, size_t end, uint shift, uint digits)
+static inline uint digit_at(
+    __global const uint *keys, size_t i, size_t end, uint shift, uint digits)
 {
     if (i >= end || keys[i] == INVISIBLE)
         return NO_DIGIT;
     return (keys[i] >> shift) & (digits - 1);
 }
 
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void count_digits(
-    __global const uint *keys, __global uint *counts, __global ulong *counters, int counter, uint limit,
-    uint shift, uint digits)
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void count_digits(
+    __global const uint *keys, __global uint *counts, __global ulong *counters, int counter,
+    uint limit, uint shift, uint digits)
 {
     __local uint found[MAX_DIGITS];
     BEGIN_STEPS;
@@ -50,12 +50,11 @@ void count_digits(
 }
 
 /* `first`: the values to sort are the elements' indices. Writes COUNT_VISIBLE where no counter is named. */
-__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1)))
-void scatter_digits(
+__kernel __attribute__((reqd_work_group_size(LIST_GROUP, 1, 1))) void scatter_digits(
     __global const uint *keys, __global const uint *values, __global uint *keys_out,
     __global uint *values_out, __global const uint *counts, __global const ulong *totals,
-    __global ulong *counters, int counter, uint limit, uint shift, uint digits, uint first, uint runs,
-    uint run_bits)
+    __global ulong *counters, int counter, uint limit, uint shift, uint digits, uint first,
+    uint runs, uint run_bits)
 {
     __local scan_memory memory;
     __local ulong starts[LIST_GROUP];

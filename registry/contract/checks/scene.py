@@ -10,6 +10,7 @@ import json
 import logging
 import math
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 Faults = Iterator[tuple[str, str]]
 
 _FACT_NAME = re.compile(r"[A-Za-z0-9_-]+")
+_NOT_ON_WINDOWS = re.compile(
+    r'[<>:"|?*]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d) *(\.|$)', re.IGNORECASE
+)
 _ROTATION_TOLERANCE = 1e-4
 _FARTHEST = 1e9
 """World units; beyond, squares and products of positions leave single precision."""
@@ -139,7 +143,9 @@ def check_initialization(points: PointCloud, scene: TrainingScene, *priors: Any)
 
 
 def is_file_name(name: str) -> bool:
-    """Whether a name, with an extension added, is a file name on all usual systems."""
+    """Whether a name, with an extension added, is the name of one file in a folder."""
+    if sys.platform == "win32" and _NOT_ON_WINDOWS.search(name):
+        return False
     separators = "/" in name or "\\" in name
     return bool(name.strip(". ")) and not separators and name.isprintable() and len(name) <= 200
 

@@ -31,7 +31,7 @@ from registry.pipeline.yaml_source import Node, Place, parse, read, to_yaml
 
 from ...protocol_scene import loader_of
 from ..planning.plan import changed_pipeline
-from ..planning.variations import DATA, Change
+from ..planning.variations import DATA, Change, is_path
 
 PROGRAMS = Path(__file__).with_name("programs")
 _EVALUATIONS = "training.evaluate_every"
@@ -217,7 +217,7 @@ def _tree(name: str, entrant: Node | Program) -> Node:
 
 
 def _scene_folder(name: str, place: Place) -> Path:
-    if "/" in name:
+    if is_path(name):
         return Path(name).expanduser()
     root = os.environ.get(DATA)
     if not root:

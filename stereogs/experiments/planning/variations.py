@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import PurePath
 
@@ -139,9 +140,14 @@ def scene_choices(root: Node, written: tuple[Node, ...]) -> tuple[Alternative, .
     return tuple(scenes.values())
 
 
+def is_path(scene: str) -> bool:
+    """Whether a text has a separator of folders, which may be a backslash on Windows."""
+    return "/" in scene or os.sep in scene
+
+
 def _scene_change(node: Node) -> Change:
     if isinstance(node.content, str):
-        path = node.content if "/" in node.content else f"${{{DATA}}}/{node.content}"
+        path = node.content if is_path(node.content) else f"${{{DATA}}}/{node.content}"
         return Change("scene.path", Node(path, node.place))
     if not isinstance(node.content, dict):
         raise PipelineError(

@@ -45,6 +45,30 @@ def test_a_folder_that_cannot_be_filled_is_removed(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("locked", [3, 1000])
+def test_a_file_that_another_program_reads_is_replaced_later_on_windows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, locked: int
+) -> None:
+    replace, path, times = Path.replace, tmp_path / "a", iter(range(locked))
+
+    def as_on_windows(source: Path, target: Path) -> Path:
+        if next(times, None) is not None:
+            raise PermissionError(13, "The process cannot access the file", target)
+        return replace(source, target)
+
+    write_text(path, "old")
+    monkeypatch.setattr(Path, "replace", as_on_windows)
+    monkeypatch.setattr("sys.platform", "win32")
+    if locked > 100:
+        with pytest.raises(PermissionError):
+            write_text(path, "new")
+        assert path.read_bytes() == b"old"
+    else:
+        write_text(path, "new\n")
+        assert path.read_bytes() == b"new\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_an_empty_folder_gives_way_on_windows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import pytest
 
@@ -56,8 +56,13 @@ def test_all_on_is_the_unchanged_pipeline(toys: Plugins, tmp_path: Path) -> None
     ],
 )
 def test_scenes_are_split_like_values(
-    toys: Plugins, tmp_path: Path, written: str, labels: tuple[str, ...]
+    toys: Plugins,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    written: str,
+    labels: tuple[str, ...],
 ) -> None:
+    monkeypatch.setenv("STEREOGS_DATA", str(tmp_path))
     made = plan(write(tmp_path), toys, toggles="second", scenes=written)
     assert made.scenes == labels
 
@@ -65,6 +70,16 @@ def test_scenes_are_split_like_values(
 def test_a_scene_that_ends_too_early_is_refused(toys: Plugins, tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="--scenes"):
         plan(write(tmp_path), toys, toggles="second", scenes="{use: toy_scene, ./a")
+
+
+def test_a_scene_with_backslashes_is_a_path_on_windows(
+    toys: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.sep", "\\")
+    monkeypatch.setattr("stereogs.experiments.planning.variations.PurePath", PureWindowsPath)
+    made = plan(write(tmp_path), toys, toggles="second", scenes=r"C:\data\fern,..\room")
+    assert made.scenes == ("fern", "room")
+    assert made.runs[0].pipeline.one("scene").settings.model_dump()["path"] == Path(r"C:\data\fern")
 
 
 def test_seeds_vary_fastest_then_scenes(toys: Plugins, tmp_path: Path) -> None:

@@ -72,29 +72,6 @@ def test_doctor_says_how_to_register_an_nvidia_card(
     assert shown == (loaded and not listed)
 
 
-@pytest.mark.parametrize(
-    ("told", "better", "line"),
-    [
-        ("skx", None, "kernels are built for skx, which the driver was told"),
-        (None, "skx", "STEREOGS_CORRECT_CPU_NAME=1 has faster kernels built, for skx"),
-        (None, None, None),
-    ],
-)
-def test_doctor_names_the_processor_if_the_driver_does_not_know_it(
-    told: str | None,
-    better: str | None,
-    line: str | None,
-    capsys: Capture,
-    two_devices: dict[str, Trial],
-) -> None:
-    good = Trial(None, 0.02, 1e-7, 1e-6, 1e-7, told, better)
-    two_devices.update(slow=good, fast=good)
-    assert main(["doctor"]) == 0
-    output = capsys.readouterr().out
-    assert line in output if line else "kernels" not in output
-    assert ("stereogs-rasterizer[intel]" in output) == (line is not None)
-
-
 def test_doctor_marks_the_fastest_device(capsys: Capture, two_devices: dict[str, Trial]) -> None:
     two_devices.update(slow=GOOD, fast=Trial(None, 0.004, 1e-7, 1e-6, 1e-7))
     assert main(["doctor"]) == 0

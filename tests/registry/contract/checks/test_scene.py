@@ -97,6 +97,17 @@ def test_faults_are_refused(scene: Scene, message: str) -> None:
     assert caught.value.fix
 
 
+@pytest.mark.parametrize("name", ["10:20", "a*b", "NUL", "com1.left", "a.", "b "])
+def test_names_that_windows_cannot_have_are_refused_there(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert validate(with_view(name=name))
+    monkeypatch.setattr("sys.platform", "win32")
+    with pytest.raises(SceneError, match="plain file name"):
+        validate(with_view(name=name))
+    assert validate(with_view(name="console.1"))
+
+
 def test_a_valid_scene_is_returned_unchanged() -> None:
     for scene in (
         tiny_scene(),
@@ -176,3 +187,11 @@ def test_a_rotation_in_place_is_another_pose() -> None:
 def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         check_initialization(points, tiny_scene().for_training(), {})
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_harmonics_of_each_degree_are_accepted(coefficients: int) -> None:
+    points = tiny_scene().points
+    assert points is not None
+    sh = torch.zeros(len(points), coefficients, 3)
+    check_initialization(replace(points, sh=sh), tiny_scene().for_training(), {})
