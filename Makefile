@@ -89,9 +89,9 @@ loggers: $(VENV)/.dev ## the loggers against the packages that they log with, wh
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
 
-cluster: $(VENV)/.dev ## twelve runs on a Ray cluster of this machine, a worker killed in the middle; minutes
-	$(PIP) --editable '.[dev,cluster]'
-	CLUSTER=1 $(BIN)/python -m pytest tests/stereogs_plugins/runners
+cluster: $(VENV)/.dev ## runs on processes that share a folder, on Ray and on submitit, some killed or without data; minutes
+	$(PIP) --editable '.[dev,cluster,slurm]'
+	CLUSTER=1 $(BIN)/python -m pytest -m 'proof or not proof' tests/stereogs_plugins/runners tests/stereogs/experiments/test_sharing.py
 
 lint: $(VENV)/.dev ## rules and format of Python, format of kernels, workflow files by their schema
 	$(BIN)/ruff check .

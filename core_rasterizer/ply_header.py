@@ -120,6 +120,11 @@ def _parse(start: bytes, path: Path) -> PlyHeader:
     found = re.match(rb"ply\s*?\r?\n(.*?)^end_header\s*?\n", start, re.DOTALL | re.MULTILINE)
     if other := _OTHER_FORMATS.get(path.suffix.lower()) if found is None else None:
         raise PlyError(f"this is {other}, not a PLY file", where=str(path), fix=CONVERT)
+    if start.startswith((b"\x1f\x8b", b"PK")):
+        fix = f"unpack it; or, if it is a compressed scene, {CONVERT}"
+        raise PlyError(
+            "this is an archive of gzip or zip, not a PLY file", where=str(path), fix=fix
+        )
     if found is None:
         raise PlyError(
             "the file does not begin with a complete PLY header",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .contract.component import Component, SettingsType
 
-__all__ = ["DATA_MISSING", "WORKER", "Runner", "RunningTask", "TrainingTask"]
+__all__ = ["DATA_MISSING", "WORKER", "Runner", "RunningTask", "TrainingTask", "failure"]
 
 WORKER = "stereogs.experiments.running.worker"
 """`python -m WORKER PIPELINE RUN [--device NAME]` trains a pipeline file in a run folder, or resumes it.
@@ -81,3 +81,14 @@ class Runner(Component[SettingsType], ABC):
 
     def close(self) -> None:
         """Release resources, such as a connection to a cluster."""
+
+
+def failure(status: int | None, printed: str) -> str:
+    """Return the error of a training with this exit status and output; empty if it succeeded."""
+    if status == 0:
+        return ""
+    if status is not None and status < 0:
+        return f"it was killed by signal {-status}; was there enough memory?"
+    lines = printed.splitlines()
+    starts = [i for i, line in enumerate(lines) if line.startswith("stereogs: ")]
+    return "\n".join(lines[starts[-1] :] if starts else lines[-1:]) or f"exit status {status}"

@@ -57,9 +57,11 @@ class LearningRates(Settings):
         """Return the rates for a number of training views."""
         if self.views is None:
             return self
-        factor = min(1.0, self.views / views)
-        changed = {name: factor * getattr(self, name) for name in _RATES}
-        return self.model_copy(update={**changed, "views": None})
+        return self.times(min(1.0, self.views / views)).model_copy(update={"views": None})
+
+    def times(self, factor: float) -> Self:
+        """Return the rates multiplied by a factor."""
+        return self.model_copy(update={name: factor * getattr(self, name) for name in _RATES})
 
 
 class TrainingSettings(Settings):

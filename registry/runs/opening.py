@@ -29,6 +29,7 @@ from ..pipeline.yaml_source import parse
 from ..training.assembly import restore
 from ..training.checkpoint import (
     CHECKPOINT,
+    RECOVERIES,
     Checkpoint,
     explain_misfit,
     load_checkpoint,
@@ -121,6 +122,7 @@ def load_run(
         folder=folder,
         saved_iteration=checkpoint.iteration,
         photographs=complete,
+        recoveries=list(checkpoint.notes.get(RECOVERIES, [])),
     )
     _check_hash(folder, run.iteration, run.hash)
     return run

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How a training runs. None of these changes the result, except `scene`.
+    """How a training runs. None of these changes the result, except `scene` and a recovery.
 
     Args:
         scene: trains on this scene instead of the one that the pipeline names. The run's pipeline then says
@@ -34,6 +34,8 @@ class RunOptions:
             calls (slower).
         hang_after: seconds after which a call into a component is interrupted with a PluginError; a call that
             does not react ends the process. Works in the main thread only. None: no limit.
+        recover: if a parameter is not finite, goes back to the last checkpoint with half the learning rates,
+            at most five times; a run without a folder cannot.
         accept_changed_inputs: resumes even if photographs, cameras or model files have changed.
         accept_changed_plugins: resumes even if the package of a component has another version or code.
     """
@@ -46,6 +48,7 @@ class RunOptions:
     device: Device | Engine | str | None = None
     check_plugins: bool = False
     hang_after: float | None = None
+    recover: bool = False
     accept_changed_inputs: bool = False
     accept_changed_plugins: bool = False
 

@@ -102,6 +102,22 @@ def _shown(text: str) -> str:
     return without_credentials(visible(text))
 
 
+class Recovery(Record):
+    """A return to a checkpoint because a parameter was not finite (`--recover`).
+
+    Args:
+        iteration: in which it was found.
+        back_to: iteration of the checkpoint.
+        rates: factor of the learning rates from there on.
+        error: which parameter.
+    """
+
+    iteration: Count
+    back_to: Count
+    rates: Amount
+    error: str
+
+
 class Results(Record):
     """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has."""
 
@@ -122,6 +138,7 @@ class Results(Record):
     iterations_per_second: Amount = 0.0
     peak_memory_mb: Amount | None = None
     changed_inputs: list[Name] = []
+    recoveries: list[Recovery] = []
     test: ScoresByMetric = {}
     train: ScoresByMetric = {}
     views: ViewScores = ViewScores()
@@ -142,7 +159,7 @@ def describe(run: TrainedScene) -> Results:
 
     pipeline, model = run.pipeline, run.engine_model
     packages = {item.qualified_name: foreign_package(item.offer) for item in pipeline}
-    return Results(
+    results = Results(
         pipeline=pipeline.name,
         protocol=pipeline.protocol.record() if pipeline.protocol else None,
         scene=_scene(run.scene),
@@ -154,6 +171,9 @@ def describe(run: TrainedScene) -> Results:
         gaussians=model.count,
         hash=run.hash,
     )
+    if run.recoveries:
+        results.recoveries = [Recovery.model_validate(found) for found in run.recoveries]
+    return results
 
 
 def _scene(scene: Scene) -> SceneRecord:

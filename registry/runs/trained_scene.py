@@ -70,6 +70,7 @@ class TrainedScene:
         seconds: wall-clock time of each stage.
         metrics: lines of metrics.jsonl; empty for a run read from a folder.
         interrupted: whether Ctrl-C or SIGTERM stopped the training.
+        recoveries: see `results.Recovery`.
     """
 
     pipeline: Pipeline
@@ -84,6 +85,7 @@ class TrainedScene:
     seconds: Stages = field(default_factory=Stages)
     metrics: list[dict[str, Any]] = field(default_factory=list)
     interrupted: bool = False
+    recoveries: list[dict[str, Any]] = field(default_factory=list)
     _scores: tuple[int, dict[str, Scores]] | None = None
 
     @cached_property

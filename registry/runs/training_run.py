@@ -6,10 +6,13 @@ import errno
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
 import torch
+
+from core_rasterizer import GaussianError
 
 from ..discovery import Plugins
 from ..errors import RunError
@@ -19,7 +22,13 @@ from ..pipeline.training_settings import TrainingSettings
 from ..system.interrupt import stop_on_interrupt
 from ..toolkit.progress.stages import STAGES
 from ..training.assembly import assemble, restore
-from ..training.checkpoint import CHECKPOINT, Checkpoint, explain_misfit
+from ..training.checkpoint import (
+    CHECKPOINT,
+    RECOVERIES,
+    Checkpoint,
+    explain_misfit,
+    load_checkpoint,
+)
 from ..training.trainer import Iteration, Trainer
 from .evaluation import evaluate, quick
 from .folder import ChooseFolder, RunFolder, refuse_occupied
@@ -36,6 +45,9 @@ AUTOSAVE_SECONDS = 30.0
 """Longest age of the newest checkpoint, whatever the pipeline's `checkpoint_every`."""
 AUTOSAVE_SHARE = 0.005
 """Largest share of the time that saving by the clock may take; slow saving raises the age."""
+
+MOST_RECOVERIES = 5
+"""Number of returns to a checkpoint (`RunOptions.recover`) after which the error ends the run."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """Disk errors; writing raises them without a file name."""
@@ -77,7 +89,7 @@ def train_prepared(
     device = initial.parts.device.name
     options.console().print(f"{len(initial.points):,} points; {device}{writing}")
     with run.folder.locked() if run.folder else nullcontext():
-        _train_to_end(run, trainer, metrics, options, resumed=False)
+        _train_or_recover(run, trainer, metrics, options, resumed=False)
     return run
 
 
@@ -118,12 +130,11 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            trainer = restore(run.parts, run.scene, checkpoint, run.engine_model)
+            rates = 0.5 ** len(run.recoveries)
+            trainer = restore(run.parts, run.scene, checkpoint, run.engine_model, rates)
         record_changed_inputs(run, folder)
-        sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
-        metrics = MetricsLog(run.add_metrics, sums)
+        metrics = _metrics_after(checkpoint, run)
         run.checkpoint = lambda: _checkpoint(run, trainer, metrics)
-        folder.forget_metrics_after(checkpoint.iteration)
         folder.note_resumption(
             {"after": checkpoint.iteration, **circumstances(run.pipeline, run.engine_model.engine)}
         )
@@ -131,8 +142,17 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             f"continuing after iteration {checkpoint.iteration} of "
             f"{run.pipeline.training.iterations}"
         )
-        _train_to_end(run, trainer, metrics, active, resumed=True)
+        _train_or_recover(run, trainer, metrics, active, resumed=True)
     return run
+
+
+def _metrics_after(checkpoint: Checkpoint, run: Run) -> MetricsLog:
+    """Remove the metrics after a checkpoint, and return the log that continues there."""
+    if run.folder is not None:
+        run.folder.forget_metrics_after(checkpoint.iteration)
+    run.metrics[:] = [line for line in run.metrics if line["iteration"] <= checkpoint.iteration]
+    sums = {name: (float(s[0]), int(s[1])) for name, s in checkpoint.part(SUMS).items()}
+    return MetricsLog(run.add_metrics, sums)
 
 
 def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
@@ -163,6 +183,33 @@ def _new_run(initial: Prepared) -> tuple[Run, Trainer, MetricsLog]:
     )
     metrics = MetricsLog(run.add_metrics, {})
     return run, trainer, metrics
+
+
+def _train_or_recover(
+    run: Run, trainer: Trainer, metrics: MetricsLog, options: RunOptions, *, resumed: bool
+) -> None:
+    """`_train_to_end`; on a parameter that is not finite go back to the checkpoint if options say so."""
+    while True:
+        try:
+            return _train_to_end(run, trainer, metrics, options, resumed=resumed)
+        except GaussianError as error:
+            most = len(run.recoveries) == MOST_RECOVERIES
+            if not options.recover or run.folder is None or most:
+                raise
+            checkpoint = load_checkpoint(run.folder.path / CHECKPOINT)
+            rates = 0.5 ** (len(run.recoveries) + 1)
+            found = {"iteration": trainer.iteration + 1, "back_to": checkpoint.iteration}
+            run.recoveries.append({**found, "rates": rates, "error": str(error.what)})
+            _log.warning(
+                "iteration %d: %s; continuing after iteration %d with learning rates times %g",
+                *(trainer.iteration + 1, error.what, checkpoint.iteration, rates),
+            )
+        run.parts = run.parts.following(run.pipeline)
+        trainer = restore(run.parts, run.scene, checkpoint, rates=rates)
+        metrics, resumed = _metrics_after(checkpoint, run), True
+        run.engine_model, run.iteration = trainer.model, checkpoint.iteration
+        run.saved_iteration = checkpoint.iteration
+        run.checkpoint = partial(_checkpoint, run, trainer, metrics)
 
 
 def _train_to_end(
@@ -262,8 +309,9 @@ def _checkpoint(run: Run, trainer: Trainer, metrics: MetricsLog) -> Checkpoint:
         state = trainer.state()
     for name, pair in metrics.sums.items():
         state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
+    notes = {RECOVERIES: run.recoveries} if run.recoveries else {}
     return Checkpoint(
-        trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity
+        trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity, notes
     )
 
 

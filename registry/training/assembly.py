@@ -44,7 +44,11 @@ def assemble(
 
 
 def restore(
-    parts: Parts, scene: Scene, checkpoint: Checkpoint, model: Model | None = None
+    parts: Parts,
+    scene: Scene,
+    checkpoint: Checkpoint,
+    model: Model | None = None,
+    rates: float = 1.0,
 ) -> Trainer:
     """Return the training of a pipeline after a checkpoint; it continues to the same bits.
 
@@ -52,12 +56,16 @@ def restore(
         parts: as in `assemble`.
         scene: in the coordinates of its files.
         model: holds the checkpoint's Gaussians; None creates it.
+        rates: factor of the learning rates.
 
     Raises:
         ExplainedError: the checkpoint does not match the parts, or a component cannot restore its state.
         Exception: tensors of the checkpoint do not fit; see `explain_misfit`.
     """
     settings = parts.pipeline.training
+    if rates != 1.0:
+        lower = settings.learning_rates.times(rates)
+        settings = settings.model_copy(update={"learning_rates": lower})
     if model is None:
         model = new_model(Gaussians(**checkpoint.part("model")), settings, parts.device)
     framed = with_prior_masks(scene.in_frame(checkpoint.frame), parts)

@@ -124,6 +124,11 @@ def add_run_options(parser: argparse.ArgumentParser, verb: str) -> None:
         metavar="SECONDS",
         help="end the run if one call into a plugin takes longer (default: only warn)",
     )
+    parser.add_argument(
+        "--recover",
+        action="store_true",
+        help="if a parameter is not finite, go back to the last checkpoint with half the learning rates",
+    )
     for option in train_options(verb):
         option.add_arguments(parser)
 
@@ -140,6 +145,7 @@ def run_options(
         progress=output,
         device=arguments.device,
         check_plugins=arguments.check_plugins,
+        recover=arguments.recover,
         scene_folder=getattr(arguments, "scene", None),
         accept_changed_inputs=getattr(arguments, "accept_changed_inputs", False),
         accept_changed_plugins=getattr(arguments, "accept_changed_plugins", False),

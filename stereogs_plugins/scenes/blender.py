@@ -37,6 +37,7 @@ STANDARD_VIEWS = (2, 16, 26, 55, 73, 76, 86, 93)
 """The eight training views of sparse-view Gaussian splatting; DietNeRF's list has 75 for 76."""
 _FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with a 4x4 matrix each"
 _NO_TEST_FIX = f"{_FIX}; without test views set `test_every: 0`"
+_JOIN = "join both files as transforms.json, which the loader nerfstudio reads"
 
 
 class BlenderSettings(Settings):
@@ -114,13 +115,13 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         return loaded.scene("blender", folder, bounds, None, facts)
 
 
-class _Frame(pydantic.BaseModel):
+class _Frame(pydantic.BaseModel, extra="allow"):
     file_path: str
     transform_matrix: PoseMatrix
 
 
 class _Transforms(pydantic.BaseModel):
-    camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)]
+    camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)] | None = None
     fl_x: Finite | None = None
     fl_y: Finite | None = None
     cx: Finite | None = None
@@ -140,18 +141,22 @@ class _Transforms(pydantic.BaseModel):
         """Return the lens; without further fields it has square pixels and a centred principal point.
 
         Raises:
-            SceneError: the fields describe a distorted lens.
+            SceneError: the fields describe a distorted lens, or no focal length.
         """
         if self.is_fisheye or any((self.k1, self.k2, self.k3, self.k4, self.p1, self.p2)):
             raise SceneError(
                 "the lens is distorted, which renders are not",
                 where=where,
-                fix="join both files as transforms.json, which the loader nerfstudio undistorts",
+                fix=_JOIN,
             )
         stored = stored_size(image)
         width = stored[0] if self.w is None else self.w
         height = stored[1] if self.h is None else self.h
-        focal = width / 2 / math.tan(self.camera_angle_x / 2) if self.fl_x is None else self.fl_x
+        focal = self.fl_x
+        if focal is None:
+            if self.camera_angle_x is None:
+                raise SceneError("the field 'camera_angle_x' is missing", where=where, fix=_FIX)
+            focal = width / 2 / math.tan(self.camera_angle_x / 2)
         return Lens(
             fx=focal,
             fy=focal if self.fl_y is None else self.fl_y,
@@ -178,7 +183,11 @@ def _read_split(folder: Path, split: str, fix: str = _FIX) -> dict[int, PosedPho
                 where=where,
                 fix="name photographs like r_0, r_1, ...",
             )
-        lens = lens or content.lens(find_image(image), str(path))
+        for field, value in (frame.model_extra or {}).items():
+            if field in _Transforms.model_fields and value != getattr(content, field):
+                what = f"the frame has its own {field!r}, but all share one lens in this format"
+                raise SceneError(what, where=where, fix=_JOIN)
+        lens = lens or content.lens(find_image(image, fix), str(path))
         photos[int(number[1])] = PosedPhoto(
             name=f"{split}_{image.stem}",
             path=image,

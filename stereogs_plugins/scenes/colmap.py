@@ -27,6 +27,7 @@ from registry.toolkit.photos import (
 )
 
 _FIX = "set `path` to a folder with images and a complete COLMAP model (see `model`)"
+_MISSING_FIX = "restore them, or set `images` to the folder in which the model's names begin"
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -59,8 +60,11 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
-        """Return True if the folder contains a COLMAP model."""
-        return bool(colmap_models(folder))
+        """Return True if the folder contains a COLMAP model that is not one of nerfstudio's files."""
+        models = colmap_models(folder)
+        if (folder / "transforms.json").is_file():
+            models = [model for model in models if not model.is_relative_to(folder / "colmap")]
+        return bool(models)
 
     def load(self) -> Scene:
         """Return the scene.
@@ -74,7 +78,7 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         model = read_colmap_model(self._model_folder(folder), _FIX)
         images = self._image_folder(folder, model.folder)
         all_photos = _photos(model, images, settings.masks)
-        kept = usable_photos(all_photos, str(model.folder))
+        kept = usable_photos(all_photos, str(model.folder), _MISSING_FIX)
         names = [model.images[index][1].name for index in kept]
         train, test, rule = self._split(names, model.folder)
         train, test = [kept[k] for k in train], [kept[k] for k in test]
@@ -137,11 +141,12 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 
 def _photos(model: ColmapModel, images: Path, with_masks: bool) -> list[PosedPhoto]:
     places = [f"{model.folder}, image {image.name!r}" for _, image in model.images]
-    names = view_names([image.name.replace("\\", "/") for _, image in model.images])
-    paths = [
-        inside(images, image.name, where)
-        for (_, image), where in zip(model.images, places, strict=True)
-    ]
+    files = [image.name.replace("\\", "/") for _, image in model.images]
+    names = view_names(files)
+    prefix = f"{images.name}/"
+    if all(file.startswith(prefix) for file in files) and not (images / prefix).is_dir():
+        files = [file.removeprefix(prefix) for file in files]  # relative to the scene's folder
+    paths = [inside(images, file, where) for file, where in zip(files, places, strict=True)]
     masks = masks_beside(images, paths) if with_masks else [None] * len(paths)
     return [
         PosedPhoto(

@@ -11,7 +11,7 @@ import logging
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import pydantic
 from pydantic import Field
@@ -23,7 +23,6 @@ from registry.toolkit.photos import (
     Finite,
     Lens,
     LoadedPhotos,
-    MatrixRow,
     PosedPhoto,
     PoseMatrix,
     ResizeFilter,
@@ -41,6 +40,8 @@ from registry.toolkit.photos import (
 )
 
 _FIX = "write transforms.json as nerfstudio's ns-process-data does"
+_FISHEYE, _PANORAMA = "OPENCV_FISHEYE", "EQUIRECTANGULAR"
+_CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", _FISHEYE)
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -97,6 +98,10 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
         loaded = LoadedPhotos.load(photos, decoder, train, test)
         loaded.report_transparency()
         points = _read_points(folder, transforms, path) if settings.points else None
+        if transforms.ply_file_path and not settings.points:
+            _log.info(
+                "the points of %s are not used; `points: true` uses them", transforms.ply_file_path
+            )
         bounds = estimate_bounds(loaded.training_cameras, points, str(path))
         seen_by = Fact("points_seen_by", "all photographs" if points else "none")
         facts = (*loaded.split_facts(rule, len(all_photos)), seen_by)
@@ -140,10 +145,7 @@ class NerfstudioScene(SceneLoader[NerfstudioSettings]):
 
 
 class _LensFields(pydantic.BaseModel):
-    camera_model: (
-        Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
-        | None
-    ) = None
+    camera_model: str | None = None
     is_fisheye: bool | None = None
     camera_angle_x: Annotated[Finite, Field(gt=0, lt=math.pi)] | None = None
     camera_angle_y: Annotated[Finite, Field(gt=0, lt=math.pi)] | None = None
@@ -173,7 +175,6 @@ class _Transforms(_LensFields):
     val_filenames: tuple[str, ...] | None = None
     test_filenames: tuple[str, ...] | None = None
     ply_file_path: str | None = None
-    applied_transform: tuple[MatrixRow, MatrixRow, MatrixRow] | None = None
 
     @property
     def split_lists(self) -> dict[str, tuple[str, ...] | None]:
@@ -189,7 +190,7 @@ def _lens_of(frame: _Frame, transforms: _Transforms, photo: Path, where: str) ->
     """Return the lens of a frame; its size is the photograph's if the file has none.
 
     Raises:
-        SceneError: the focal length is missing, or k4 is ambiguous.
+        SceneError: the camera model is not supported, the focal length is missing, or k4 is ambiguous.
     """
 
     def given(name: str) -> float | None:
@@ -209,8 +210,16 @@ def _lens_of(frame: _Frame, transforms: _Transforms, photo: Path, where: str) ->
     model: Distortion = "PINHOLE"
     distortion: tuple[float, ...] = ()
     kind = frame.camera_model or transforms.camera_model
+    if kind is not None and kind.upper() not in _CAMERA_MODELS:
+        fix = "undistort the photographs, and write their cameras as PINHOLE"
+        if kind.upper() == _PANORAMA:
+            fix = "cut the panoramas into plane pictures: ns-process-data --camera-type equirectangular"
+        what = f"the camera model {kind!r} is not one of {', '.join(_CAMERA_MODELS)}"
+        raise SceneError(what, where=where, fix=fix)
     # instant-ngp writes no model, but whether the lens is a fisheye.
-    if kind == "OPENCV_FISHEYE" or (kind is None and (frame.is_fisheye or transforms.is_fisheye)):
+    if (kind or "").upper() == _FISHEYE or (
+        kind is None and (frame.is_fisheye or transforms.is_fisheye)
+    ):
         model, distortion = "OPENCV_FISHEYE", coefficients("k1", "k2", "k3", "k4")
     else:  # nerfstudio applies coefficients whatever the name of the model
         if given("k4"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import logging
 import math
 import os
@@ -251,7 +252,10 @@ def test_scenes_of_other_kinds_are_named(tmp_path: Path, scene_file: Path) -> No
     PlyData([PlyElement.describe(rows, "vertex")]).write(str(packed))
     splat = tmp_path / "scene.splat"
     splat.write_bytes(bytes(64))
-    for path, what in ((flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15")):
+    zipped = tmp_path / "zipped.ply"
+    zipped.write_bytes(gzip.compress(flat.read_bytes()))
+    named = ((flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15"), (zipped, "gzip"))
+    for path, what in named:
         with pytest.raises(PlyError, match=what) as caught:
             load_ply(path)
         assert caught.value.fix

@@ -101,6 +101,8 @@ _TRAINING = " ".join(
     f"tests/registry/training/test_{n}.py" for n in ("trainer", "extension_points")
 )
 _HOST = {
+    "registry/contract/checks/answers.py": "tests/registry/contract/checks/test_answers.py "
+    "tests/registry/training/test_weights.py",
     "registry/pipeline/parts.py": _TRAINING,
     "registry/training/field.py": _TRAINING,
     "registry/training/trainer.py": _TRAINING,

@@ -130,9 +130,21 @@ class ColmapModel:
         return Lens(fx, fy, cx, cy, camera.width, camera.height, model.distortion, tuple(rest))
 
     def tracks(self) -> Tracks:
-        """Return the points with their tracks; image indices follow the order of the names."""
+        """Return the points with their tracks; image indices follow the order of the names.
+
+        Without points in COLMAP's files, those of points3D.ply, which 3DGS and others write, without tracks.
+        """
         import numpy as np
 
+        cloud = self.folder / "points3D.ply"
+        if not self.points and cloud.is_file():
+            from core_rasterizer import load_points
+
+            found, colors = (values.double().numpy() for values in load_points(cloud))
+            none = np.zeros(0, dtype=np.int64)
+            return Tracks(
+                found, np.rint(255 * colors).astype(np.uint8), np.zeros(len(found), np.int64), none
+            )
         index = {identity: k for k, (identity, _) in enumerate(self.images)}
         images = [index[identity] for point in self.points for identity in point.image_ids]
         positions = np.array([p.position for p in self.points], dtype=np.float64).reshape(-1, 3)

@@ -42,7 +42,8 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 """Background colors for transparent pixels, in [0, 1], by name."""
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
-"""Pillow's names of the supported formats; `read_heif` adds HEIF."""
+"""Pillow's names of the supported formats besides HEIF."""
+_HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1")
 MAX_PIXELS = 1 << 27
 """134 megapixels; a decoded pixel takes up to four bytes."""
 UNCHECKED_PIXELS = 1 << 24
@@ -67,18 +68,18 @@ def open_image(path: Path, what: str = "the image", fix: str = IMAGE_FIX) -> Ite
         what, fix: Name of the image, and advice, for error messages.
 
     Raises:
-        SceneError: The file is missing, not a regular file, or not a PNG, JPEG, WebP, TIFF or BMP; a
+        SceneError: The file is missing, not a regular file, or not a PNG, JPEG, WebP, TIFF, BMP or HEIC; a
             PNG has wrong checksums; the strips of a TIFF do not cover the image; the image has more
             than 134 megapixels, or more than 17 with over 32 pixels per byte; or the block raised.
     """
     from PIL import Image
 
-    formats = (*FORMATS, "HEIF") if "HEIF" in Image.OPEN else FORMATS
     if not path.is_file():
         raise SceneError(f"{what} is missing, or not a regular file", where=str(path), fix=fix)
     # Damaged EXIF data count as missing. Not `catch_warnings`, which is not safe in threads.
     warnings.filterwarnings("ignore", module=r"PIL\.")
     with decoding(what, path, fix):
+        formats = (*FORMATS, "HEIF") if _is_heif(path, what) else FORMATS
         with Image.open(path, formats=formats) as file:
             _check_size(file, path, what)
             file.verify()  # checks PNG's checksums, which decoding ignores
@@ -115,6 +116,18 @@ def _check_coverage(file: Image.Image, path: Path, what: str) -> None:
             where=str(path),
             fix=IMAGE_FIX,
         )
+
+
+def _is_heif(path: Path, what: str) -> bool:
+    """Return whether a file holds a HEIC picture, whatever its suffix; refuse it without a decoder."""
+    with path.open("rb") as file:
+        start = file.read(12)
+    if start[4:8] != b"ftyp" or start[8:] not in _HEIF_BRANDS:
+        return False
+    if not read_heif():
+        fix = "pip install 'stereogs-plugins[heic]', or convert it to JPEG"
+        raise SceneError(f"{what} is in the format HEIC", where=str(path), fix=fix)
+    return True
 
 
 def read_heif() -> bool:

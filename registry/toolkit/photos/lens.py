@@ -31,6 +31,8 @@ COEFFICIENTS: dict[Distortion, int] = {
 }
 """Numbers of distortion coefficients."""
 _FISHEYES = ("OPENCV_FISHEYE", "THIN_PRISM_FISHEYE")
+_ROUNDED = 1e-6
+"""Error of a number that is 0 or 1, at most, after matrices were inverted in float32."""
 _SCALES = (0.25, 1.75)
 """Undistorted size divided by original size; real lenses stay within this range."""
 
@@ -109,7 +111,7 @@ class Lens:
         """Check the numbers.
 
         Raises:
-            SceneError: One is not finite, or not positive where it must be; or the principal point is (0, 0).
+            SceneError: One is not finite, or not positive where it must be, or (cx, cy) is the corner.
         """
         positive = {
             "focal length fx": self.fx,
@@ -131,9 +133,10 @@ class Lens:
             )
         if problems:
             raise SceneError(problems[0], where=where, fix="restore the camera file")
-        if self.cx == self.cy == 0:
+        if 0 <= self.cx <= 1 and 0 <= self.cy <= 1:
             raise SceneError(
-                "the principal point (cx, cy) is the corner (0, 0) of the image, as if nobody had set it",
+                f"the principal point (cx, cy) is ({self.cx:g}, {self.cy:g}), the corner of the image, as if "
+                "nobody had set it, or not in pixels",
                 where=where,
                 fix="write cx and cy in pixels; in transforms.json, leave both out for the centre",
             )
@@ -216,7 +219,7 @@ def pose_from_opengl(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
     import numpy as np
 
     pose = np.asarray(matrix, dtype=np.float64)
-    if len(pose) == 4 and not np.array_equal(pose[3], [0, 0, 0, 1]):
+    if len(pose) == 4 and not np.allclose(pose[3], [0, 0, 0, 1], rtol=0, atol=_ROUNDED):
         raise SceneError(
             f"the last row of the pose is {pose[3].tolist()}, not 0 0 0 1",
             where=where,

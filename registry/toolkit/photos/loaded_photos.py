@@ -66,7 +66,11 @@ class PosedPhoto:
     mask_trains: bool = False
 
 
-def usable_photos(photos: Sequence[PosedPhoto], where: str) -> list[int]:
+def usable_photos(
+    photos: Sequence[PosedPhoto],
+    where: str,
+    fix: str = "restore them, or correct their names there",
+) -> list[int]:
     """Return the indices of photographs whose file exists and whose camera is near the others.
 
     A warning names those that are left out.
@@ -81,7 +85,7 @@ def usable_photos(photos: Sequence[PosedPhoto], where: str) -> list[int]:
         raise SceneError(
             f"{len(missing)} of {len(photos)} photographs are missing, for example {missing[0]}",
             where=where,
-            fix="restore them beside the camera file, or set `images` to their folder",
+            fix=fix,
         )
     if missing:
         _log.warning(

@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from unicodedata import normalize
+from urllib.parse import unquote
 
 import pydantic
 
@@ -31,7 +32,7 @@ MatrixRow = tuple[Finite, Finite, Finite, Finite]
 PoseMatrix = Annotated[tuple[MatrixRow, ...], pydantic.Field(min_length=3, max_length=4)]
 """A pose `[4, 4]`, or `[3, 4]` without the last row."""
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif")
 """Suffixes of files that are read as photographs, in lower case."""
 MAX_GROWTH = 10
 """Unpacked size of an archive divided by its file size, at most; real arrays shrink to a half at best."""
@@ -170,7 +171,7 @@ def _parsed(content: bytes) -> Array:
     return values.reshape(shape, order="F" if by_column else "C").copy()
 
 
-def find_image(path: Path) -> Path:
+def find_image(path: Path, fix: str = "restore it, or choose other views") -> Path:
     """Return the file, or the image of the same name with another suffix.
 
     Raises:
@@ -178,14 +179,15 @@ def find_image(path: Path) -> Path:
     """
     found = existing_image(path)
     if found is None:
-        fix = "restore it, or choose other views"
         raise SceneError("a photograph is missing", where=str(path), fix=fix)
     return found
 
 
 def existing_image(path: Path) -> Path | None:
-    """Return the file itself, or one whose name differs in its Unicode form, suffix or case only."""
-    spellings = [path, *(path.with_name(normalize(form, path.name)) for form in ("NFC", "NFD"))]
+    """Return the file itself, or one whose name differs in Unicode form, suffix, case or `%20` only."""
+    names = [path.name, *(normalize(form, path.name) for form in ("NFC", "NFD"))]
+    plain = PurePosixPath(unquote(path.name)).name  # a / that it holds does not lead elsewhere
+    spellings = [path.with_name(name) for name in (*names, plain) if name]
     suffixes = [spelling for suffix in IMAGE_SUFFIXES for spelling in (suffix, suffix.upper())]
     others = [named.with_name(named.stem + suffix) for named in spellings for suffix in suffixes]
     found = next((file for file in [*spellings, *others] if file.is_file()), None)

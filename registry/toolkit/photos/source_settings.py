@@ -58,11 +58,11 @@ class ImageSourceSettings(Settings):
                 return present[0]
             names = ", ".join(str(path.relative_to(scene)) for path in present) or "none"
             which = "" if self.images else f" for downsample {self.downsample}"
-            raise SceneError(
-                f"images are missing{which}",
-                where=str(folder),
-                fix=f"set `downsample` or `images` to an existing folder (found: {names})",
-            )
+            fix = f"set `downsample` or `images` to an existing folder (found: {names})"
+            files = [path for path in folder.iterdir() if path.is_file()] if folder.is_dir() else []
+            if suffixes := sorted({path.suffix.lower() for path in files}):
+                fix = f"convert the pictures to JPEG or PNG; {', '.join(suffixes)} cannot be read"
+            raise SceneError(f"images are missing{which}", where=str(folder), fix=fix)
         return folder
 
 

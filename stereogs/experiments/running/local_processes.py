@@ -13,7 +13,7 @@ from pydantic import Field
 
 from core_rasterizer import Device
 from registry import Context, Settings
-from registry.runners import DATA_MISSING, WORKER, Runner, RunningTask, TrainingTask
+from registry.runners import DATA_MISSING, WORKER, Runner, RunningTask, TrainingTask, failure
 from registry.system.cores import usable_cores
 from registry.system.files import write_text
 from registry.system.memory import available_bytes
@@ -126,14 +126,3 @@ class TrainingProcess(RunningTask):
         return failure(
             self._process.returncode, self._task.log.read_text("utf-8", errors="replace")
         )
-
-
-def failure(status: int | None, printed: str) -> str:
-    """Return the error of a training with this exit status and output; empty if it succeeded."""
-    if status == 0:
-        return ""
-    if status is not None and status < 0:
-        return f"it was killed by signal {-status}; was there enough memory?"
-    lines = printed.splitlines()
-    starts = [i for i, line in enumerate(lines) if line.startswith("stereogs: ")]
-    return "\n".join(lines[starts[-1] :] if starts else lines[-1:]) or f"exit status {status}"

@@ -19,7 +19,13 @@ def lead(results: Mapping[str, Any], scene: Scene) -> str:
     if "device" in results:
         text += f" on {results['device'].get('name')}"
     hurried = results.get("initialization", {}).get("hurried", "")
-    return f"{text}. {label(hurried)}" if hurried else f"{text}."
+    text = f"{text}. {label(hurried)}" if hurried else f"{text}."
+    for found in results.get("recoveries", ()):
+        text += (
+            f" In iteration {found['iteration']} a parameter was not finite; training went back to "
+            f"iteration {found['back_to']} with learning rates times {found['rates']:g}."
+        )
+    return text
 
 
 def kind_of_scores(scene: Scene) -> str:

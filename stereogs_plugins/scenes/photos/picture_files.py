@@ -17,7 +17,7 @@ from registry.toolkit.photos import HEIF_SUFFIXES, IMAGE_SUFFIXES, are_masks, re
 
 UNREADABLE = (".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 """Suffixes of unsupported picture formats, which are left out."""
-_PICTURES = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES, ".jfif", ".jpe")
+_PICTURES = (*IMAGE_SUFFIXES, ".jfif", ".jpe")
 _COMPANION_NAMES = ("thumbs.db", "ehthumbs.db", "desktop.ini", "picasa.ini", "icon\r")
 _VIDEOS = (".mov", ".mp4", ".m4v", ".3gp", ".avi")
 _COMPANION_SUFFIXES = (".aae", ".xmp", ".thm", ".ctg", ".lrv", *_VIDEOS)

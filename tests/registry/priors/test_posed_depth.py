@@ -82,6 +82,7 @@ def test_the_answer_is_checked_and_cached(cache: Path) -> None:
         ({"world_to_camera": torch.full((3, 4), torch.nan)}, "camera of photograph 0 is not valid"),
         ({"intrinsics": torch.zeros(3, 3)}, "camera of photograph 0 is not valid"),
         ({"confidence": torch.full((24, 32), 7.0)}, "not 0 to 1"),
+        ({"confidence": torch.linspace(-0.5, 1, 24 * 32).reshape(24, 32)}, "not 0 to 1"),
     ],
 )
 def test_a_wrong_answer_is_refused(

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 import registry.runs.training_run as training_run
-from core_rasterizer import Device, ExplainedError
+from core_rasterizer import Device, ExplainedError, GaussianError
 from registry import PluginError, RunError, Scene
 from registry.runs.folder import RunFolder
 from registry.runs.opening import load_run
@@ -140,6 +140,62 @@ def test_a_failure_leaves_the_last_checkpoint(
         )
     assert "iteration 21" in caught.value.where
     assert load_run(out, plugins=toys, device=device).iteration == 16
+
+
+def spoiling(times: int, **options: Any) -> RunOptions:
+    """Options of a run whose Gaussians are overwritten with NaN, unseen by the guards, after iteration 20."""
+    runs: list[Run] = []
+
+    def spoil(done: Any) -> None:
+        nonlocal times
+        if done.number == 20 and times:
+            times -= 1
+            model: Any = runs[-1].engine_model
+            rows = model.parameters.read().clone()
+            rows[11] = math.nan
+            model.adopt(rows, model.count)
+
+    return RunOptions(progress=False, on_begin=runs.append, callback=spoil, **options)
+
+
+def test_a_run_that_recovers_goes_back_with_half_the_rates_and_says_so(
+    toys: Plugins, device: Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    again = pipeline(toys, "training.checkpoint_every=8")
+    with pytest.raises(GaussianError, match="not finite"):
+        start_run(again, spoiling(1, device=device), tmp_path / "ends")
+    done = start_run(again, spoiling(2, device=device, recover=True), tmp_path / "recovers")
+    assert done.finished
+    results = RunFolder(tmp_path / "recovers").results()
+    found = [(r["back_to"], r["rates"]) for r in results["recoveries"]]
+    assert found == [(16, 0.5), (16, 0.25)]
+    assert "not finite after the optimizer's step" in results["recoveries"][0]["error"]
+    assert "continuing after iteration 16 with learning rates times 0.25" in caplog.text
+    numbers = [line["iteration"] for line in done.metrics]
+    assert numbers == sorted(set(numbers))
+    # The rates stay low: a run that is stopped later and resumed ends in the same bits.
+    options = spoiling(2, device=device, recover=True)
+
+    def stop(done: Any) -> bool | None:
+        assert options.callback is not None
+        options.callback(done)
+        return bool(done.number < 22)
+
+    start_run(again, replace(options, callback=stop), tmp_path / "parts")
+    whole = resumed(tmp_path / "parts", toys, device)
+    assert whole.hash == done.hash
+    assert whole.recoveries == done.recoveries
+    usual, _, _ = run(toys, device, tmp_path / "usual")
+    assert "recoveries" not in usual.results()
+    assert usual.results()["hash"] != done.hash
+
+
+def test_a_run_recovers_five_times(
+    toys: Plugins, device: Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(GaussianError, match="not finite"):
+        start_run(pipeline(toys), spoiling(99, device=device, recover=True), tmp_path / "run")
+    assert caplog.text.count("; continuing after iteration 0 with learning rates times") == 5
 
 
 def test_changed_inputs_are_refused_unless_accepted(

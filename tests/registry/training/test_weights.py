@@ -106,5 +106,6 @@ def test_a_sampler_that_forgets_the_weights_is_refused(step: Step) -> None:
         check_sample(replace(given, camera=smaller, target=target), step, given)
     with pytest.raises(PluginError, match="the weights of the one before"):
         check_sample(replace(given, view=step.scene.train[1]), step, given)
+    check_sample(replace(given, view=step.scene.train[1], weights=0.5 * ones), step, given)
     with pytest.raises(PluginError, match="outside"):
         check_sample(replace(given, weights=2 * ones), step, given)

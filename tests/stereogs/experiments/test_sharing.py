@@ -15,13 +15,17 @@ from types import SimpleNamespace
 
 import pytest
 
+from core_rasterizer import Device
 from registry import RunError
+from stereogs import RunOptions
+from stereogs.experiments.planning.matrix import plan_of, read_matrix
 from stereogs.experiments.planning.plan import PlannedRun
 from stereogs.experiments.running import queue as queues
 from stereogs.experiments.running.folder import ExperimentFolder, Peer
 from stereogs.experiments.running.queue import STALE_SECONDS, SharedQueue, shared
-from tests.host import SELECTION, Plugins, main
+from tests.host import SELECTION, Plugins, main, start_run
 from tests.stereogs.experiments.ablating import plan, write
+from tests.stereogs_plugins.scenes.small_scenes import World, write_llff
 
 
 @pytest.fixture
@@ -196,13 +200,14 @@ def test_a_fallback_is_refused(runs: tuple[PlannedRun, ...], toys: Plugins, tmp_
         far.join("one")
 
 
-TINY = """\
+SCENE = "{use: procedural, width: 32, height: 24, test_views: 1, points: 100}"
+TINY = f"""\
 name: tiny
-scene: {use: procedural, width: 32, height: 24, test_views: 1, points: 100}
+scene: {SCENE}
 initializer: sfm
 modifiers: [dropout]
 metrics: [psnr]
-training: {iterations: 800, sh_degree: 0, checkpoint_every: 50}
+training: {{iterations: 800, sh_degree: 0, checkpoint_every: 50}}
 """
 
 
@@ -228,3 +233,59 @@ def test_a_killed_process_takes_its_training_along_and_another_resumes_it(
     assert "2 runs, 0 finished" in printed
     assert "continuing after iteration" in log.read_text("utf-8")
     assert len(list(out.glob("runs/*/results.json"))) == 2
+
+
+MATRIX = """\
+pipelines: [a.yaml, b.yaml]
+scenes: [{use: llff, path: data/garden, downsample: 2}]
+iterations: [10, 20]
+seeds: 10
+"""
+
+
+@pytest.mark.skipif(os.environ.get("CLUSTER") != "1", reason="takes minutes: `make cluster`")
+def test_forty_runs_on_three_processes_of_which_two_are_killed_and_one_lacks_the_data(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SELECTION, "llff,random,dropout,psnr")
+    monkeypatch.chdir(tmp_path)
+    write_llff(tmp_path / "data" / "garden", World())
+    (tmp_path / "empty").mkdir()
+    tiny = TINY.replace(SCENE, "{use: llff, path: data/garden, downsample: 2}")
+    tiny = tiny.replace("initializer: sfm", "initializer: {use: random, count: 50}")
+    for name, rate in ("a", "0.1"), ("b", "0.2"):
+        text = tiny.replace("name: tiny", f"name: {name}")
+        (tmp_path / f"{name}.yaml").write_text(
+            text.replace("dropout", f"{{use: dropout, rate: {rate}}}")
+        )
+    (tmp_path / "matrix.yaml").write_text(MATRIX)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "stereogs", "bench", str(tmp_path / "matrix.yaml")]
+    command += ["--out", str(out), "--shared", "--jobs", "1"]
+
+    def join(folder: Path) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)
+
+    def wait_for(results: int) -> None:
+        deadline = time.monotonic() + 600
+        while len(list(out.glob("runs/*/results.json"))) < results:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+    without = join(tmp_path / "empty")
+    deadline = time.monotonic() + 120
+    while not any("not here" in path.read_text() for path in out.glob("claims/*/claim.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    killed, last = join(tmp_path), join(tmp_path)
+    for process, results in (killed, 5), (without, 10):
+        wait_for(results)
+        process.kill()
+        process.wait()
+    assert last.wait() == 0
+    runs = plan_of(read_matrix(tmp_path / "matrix.yaml"), Plugins()).runs
+    assert len(runs) == 40
+    options = RunOptions(device=device, progress=False)
+    folder = ExperimentFolder(out)
+    for run in runs:
+        assert folder.results(run)["hash"] == start_run(run.pipeline, options).hash

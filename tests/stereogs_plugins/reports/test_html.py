@@ -211,6 +211,13 @@ def test_facts_are_sentences(run: RunFolder) -> None:
     assert "nothing" not in words
 
 
+def test_a_return_to_a_checkpoint_is_told(run: RunFolder) -> None:
+    found = {"iteration": 81, "back_to": 64, "rates": 0.5, "error": "6 values are not finite"}
+    write_json(run.path / "results.json", {**RESULTS, "recoveries": [found]})
+    page = Page(written(run))
+    assert "training went back to iteration 64 with learning rates times 0.5" in page.text
+
+
 def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
     page = written(run)
     table = page[page.index("<summary>scores of each photograph") :]

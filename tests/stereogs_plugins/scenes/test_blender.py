@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def matrix(**entries: float) -> list[list[float]]:
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no file": (lambda f: (f / "transforms_test.json").unlink(), "transforms_test.json is missing"),
     "no json": (lambda f: (f / "transforms_train.json").write_text("{"), "cannot be read"),
-    "no angle": (lambda f: change(f, "camera_angle_x", None), "'camera_angle_x' cannot be used"),
+    "no angle": (lambda f: change(f, "camera_angle_x", None), "'camera_angle_x' is missing"),
     "flat angle": (lambda f: change(f, "camera_angle_x", 3.2), "'camera_angle_x' cannot be used"),
     "nan": (
         lambda f: change(f, "transform_matrix", matrix(_03=float("nan"))),
@@ -159,6 +160,34 @@ def test_a_distorted_lens_is_refused(fields: dict[str, object], tmp_path: Path) 
     with pytest.raises(SceneError, match="the lens is distorted") as caught:
         load(folder)
     assert "nerfstudio" in caught.value.fix
+
+
+def test_a_lens_of_a_single_frame_is_refused(tmp_path: Path) -> None:
+    folder = write_blender(tmp_path, World())
+    angle = json.loads((folder / "transforms_train.json").read_text())["camera_angle_x"]
+    frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
+    change_cameras(folder, frames=[{**frame, "camera_angle_x": angle} for frame in frames])
+    assert load(folder).train[0].camera.fx == pytest.approx(World().focal)
+    change_cameras(folder, frames=[{**frame, "camera_angle_x": 0.9 * angle} for frame in frames])
+    with pytest.raises(SceneError, match="the frame has its own 'camera_angle_x'") as caught:
+        load(folder)
+    assert "nerfstudio" in caught.value.fix
+
+
+def test_the_focal_length_may_stand_for_the_angle(tmp_path: Path) -> None:
+    folder = change_cameras(write_blender(tmp_path, World()), camera_angle_x=None, fl_x=70.0)
+    assert load(folder).train[0].camera.fx == 70
+    with pytest.raises(SceneError, match="'camera_angle_x' is missing"):
+        load(change_cameras(folder, fl_x=None))
+
+
+def test_test_views_that_were_not_rendered(tmp_path: Path) -> None:
+    folder = write_blender(tmp_path, World())
+    shutil.rmtree(folder / "test")
+    with pytest.raises(SceneError, match="a photograph is missing") as caught:
+        load(folder)
+    assert "test_every: 0" in caught.value.fix
+    assert len(load(folder, test_every=0).train) == 3
 
 
 def test_without_test_views_their_file_is_not_needed(tmp_path: Path) -> None:

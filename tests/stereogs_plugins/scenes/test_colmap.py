@@ -3,6 +3,7 @@ from __future__ import annotations
 import logging
 import shutil
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -246,6 +247,8 @@ def test_the_model_is_found_where_programs_write_it(place: str, tmp_path: Path) 
     if place.startswith("dense"):
         (folder / "images").rename(folder / "dense" / "0" / "images")
     assert ColmapScene.recognizes(folder)
+    (folder / "transforms.json").touch()  # nerfstudio's ns-process-data writes both
+    assert ColmapScene.recognizes(folder) == (not place.startswith("colmap"))
     assert_sees_the_points(load(folder))
 
 
@@ -432,6 +435,59 @@ def test_photographs_in_the_only_other_folder_are_found(place: str, tmp_path: Pa
         f"(found: {', '.join(sorted((place, 'more'), reverse=place == '.'))})" in caught.value.fix
     )
     assert_sees_the_points(load(folder, images=place))
+
+
+@pytest.mark.parametrize("suffix", [".HEIC", ".jpg"])
+def test_heic_is_read_whatever_its_suffix(suffix: str, tmp_path: Path) -> None:
+    pillow_heif = pytest.importorskip("pillow_heif", reason="pip install pillow-heif")
+    folder = write_colmap(tmp_path, World())
+    for path in (folder / "images").iterdir():
+        with Image.open(path) as picture:
+            pillow_heif.from_pillow(picture).save(path.with_suffix(".heic"), quality=100)
+        path.with_suffix(".heic").rename(path.with_suffix(suffix))
+        path.unlink()
+    assert_sees_the_points(load(folder), tolerance=60)
+    with pytest.MonkeyPatch.context() as without:
+        without.setitem(sys.modules, "pillow_heif", None)
+        with pytest.raises(SceneError, match="is in the format HEIC") as caught:
+            load(folder)
+    assert "pip install" in caught.value.fix
+
+
+def test_photographs_in_a_format_that_is_not_read(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World())
+    for path in (folder / "images").iterdir():
+        path.rename(path.with_suffix(".avif"))
+    with pytest.raises(SceneError, match="images are missing") as caught:
+        load(folder)
+    assert "convert the pictures to JPEG or PNG; .avif cannot be read" in caught.value.fix
+
+
+def test_names_that_begin_with_the_folder_of_photographs(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
+    rewrite(folder, "images.txt", lambda text: text.replace("IMG_", "images/IMG_"))
+    assert_sees_the_points(load(folder))
+
+
+def test_points_of_a_ply_file(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_colmap(tmp_path, World())
+    expected = load(folder).points
+    model = folder / "sparse" / "0"
+    (model / "points3D.bin").unlink()
+    kinds = [
+        *(("float", name) for name in "xyz"),
+        *(("uchar", c) for c in ("red", "green", "blue")),
+    ]
+    rows = [" ".join(map(str, (*p, *c))) for p, c in zip(POINTS, COLORS, strict=True)]
+    header = ["ply", "format ascii 1.0", f"element vertex {len(rows)}"]
+    header += [f"property {kind} {name}" for kind, name in kinds]
+    (model / "points3D.ply").write_text("\n".join([*header, "end_header", *rows, ""]))
+    points = load(folder).points
+    assert points is not None
+    assert expected is not None
+    torch.testing.assert_close(points.positions.double(), expected.positions, atol=1e-6, rtol=0)
+    torch.testing.assert_close(points.colors, expected.colors)
+    assert "do not say which photographs" in caplog.text
 
 
 def test_names_may_differ_in_case(tmp_path: Path) -> None:

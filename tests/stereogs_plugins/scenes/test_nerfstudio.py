@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -249,7 +250,6 @@ def test_a_frame_can_have_its_own_lens_and_a_mask(tmp_path: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         frame = next(f for f in content["frames"] if f["file_path"].endswith("1.png"))
         frame.update(fl_x=70.0, mask_path="mask.png")
-        content.update(applied_transform=[[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
 
     first, second = load(edit(folder, change)).train[:2]
     assert (first.camera.fx, first.camera.fy) == pytest.approx((70, World().focal))
@@ -297,7 +297,9 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "nan": (lambda c: c.update(cx=float("nan")), "'cx' cannot be used"),
     "negative": (first_frame(fl_y=-3.0), "focal length fy is -3"),
     "k4": (first_frame(k4=0.1), "k4 is not 0"),
-    "unknown model": (lambda c: c.update(camera_model="EQUIRECTANGULAR"), "'camera_model'"),
+    "panorama": (lambda c: c.update(camera_model="EQUIRECTANGULAR"), "model 'EQUIRECTANGULAR'"),
+    "unknown model": (first_frame(camera_model="FISHEYE624"), "'FISHEYE624' is not one of"),
+    "last row": (first_frame(transform_matrix=np.diag([1, 1, 1, 1.1]).tolist()), "the last row"),
     "climbing name": (first_frame(file_path="images/../../a.png"), "does not stay inside"),
     "climbing mask": (first_frame(mask_path="../a.png"), "does not stay inside"),
     "short matrix": (first_frame(transform_matrix=[[1, 0, 0, 0]]), "transform_matrix"),
@@ -310,6 +312,7 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         "not a rotation (residual 0.69)",
     ),
     "centre at a corner": (lambda c: c.update(cx=0, cy=0.0), "the principal point (cx, cy) is"),
+    "centre in shares": (lambda c: c.update(cx=0.5, cy=0.5), "the principal point (cx, cy) is"),
     "one frame twice": (lambda c: c["frames"].append(c["frames"][0]), "2 frames have the photo"),
 }
 
@@ -323,6 +326,33 @@ def test_bad_input_is_an_error(
         load(folder, train_views=None)
     assert message in caught.value.what
     assert caught.value.where
+
+
+def test_fields_and_names_as_other_programs_write_them(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Another form of an unused field, small letters, a rounded last row, escaped names."""
+
+    def change(content: dict[str, Any]) -> None:
+        content.update(applied_transform=np.eye(4).tolist(), ply_file_path="points.ply")
+        content["camera_model"] = "opencv"
+        for number, frame in enumerate(content["frames"]):
+            frame["transform_matrix"][3][3] = 1 + 5e-7
+            name = f"images/the view {number}.png"
+            (tmp_path / frame["file_path"]).rename(tmp_path / name)
+            frame["file_path"] = name.replace(" ", "%20")
+
+    with caplog.at_level(logging.INFO, logger="stereogs.photos"):
+        assert_sees_the_points(load(edit(write_nerfstudio(tmp_path, World()), change)))
+    assert "the points of points.ply are not used; `points: true` uses them" in caplog.text
+
+
+def test_photographs_of_all_names_missing_are_refused(tmp_path: Path) -> None:
+    folder = write_nerfstudio(tmp_path, World())
+    (folder / "images").rename(folder / "elsewhere")
+    with pytest.raises(SceneError, match="9 of 9 photographs are missing") as caught:
+        load(folder)
+    assert "correct their names" in caught.value.fix
 
 
 def test_a_missing_file(tmp_path: Path) -> None:

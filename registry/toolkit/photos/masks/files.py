@@ -11,10 +11,9 @@ from pathlib import Path
 from unicodedata import normalize
 
 from ....errors import SceneError
-from ..decoder import HEIF_SUFFIXES
 from ..reading import IMAGE_SUFFIXES, inside, list_images
 
-_SUFFIXES = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES, ".jfif", ".jpe")
+_SUFFIXES = (*IMAGE_SUFFIXES, ".jfif", ".jpe")
 _FOLDER = re.compile(r"masks?(_\d+)?", re.IGNORECASE)
 _ENDING = re.compile(r"[._-]mask$", re.IGNORECASE)
 

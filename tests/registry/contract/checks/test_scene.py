@@ -187,3 +187,11 @@ def test_a_rotation_in_place_is_another_pose() -> None:
 def test_impossible_points_are_refused(points: PointCloud, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         check_initialization(points, tiny_scene().for_training(), {})
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_harmonics_of_each_degree_are_accepted(coefficients: int) -> None:
+    points = tiny_scene().points
+    assert points is not None
+    sh = torch.zeros(len(points), coefficients, 3)
+    check_initialization(replace(points, sh=sh), tiny_scene().for_training(), {})

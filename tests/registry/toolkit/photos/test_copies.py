@@ -82,6 +82,10 @@ def test_a_sideways_photograph_is_compared_upright() -> None:
     assert alike(Image.open(stream), texture(0))
 
 
+def test_a_small_picture_is_not_enlarged() -> None:
+    assert Impression.of(texture(0).resize((80, 60))).picture.shape == (60, 80)
+
+
 def test_an_impression_can_be_turned() -> None:
     on_its_side = Impression.of(texture(0).transpose(Image.Transpose.ROTATE_90))
     assert not on_its_side.is_copy_of(Impression.of(texture(0)))
