@@ -83,6 +83,14 @@ class PosedDepthPrior(Prior[SettingsType]):
             intrinsics: each `[3, 3]` float64 in pixels, or None where unknown.
         """
 
+    def refusal(self, count: int) -> str | None:
+        """Return why a number of photographs is not accepted, or None."""
+        least, most = self.accepted_views
+        if least <= count <= (most or count):
+            return None
+        accepted = f"{least} to {most}" if most else f"{least} or more"
+        return f"the prior {self.context.name!r} accepts {accepted} photographs, and got {count}"
+
     def posed_depths(
         self, images: Sequence[Tensor], intrinsics: Sequence[Tensor | None]
     ) -> list[PosedDepth]:
@@ -95,13 +103,8 @@ class PosedDepthPrior(Prior[SettingsType]):
             PluginError: the number of photographs is not accepted; or the answer has a wrong length, shape,
                 camera or confidence.
         """
-        least, most = self.accepted_views
-        if not least <= len(images) <= (most or len(images)):
-            accepted = f"{least} to {most}" if most else f"{least} or more"
-            raise PluginError(
-                f"the prior {self.context.name!r} accepts {accepted} photographs, and got {len(images)}",
-                fix="choose another prior, or other photographs",
-            )
+        if problem := self.refusal(len(images)):
+            raise PluginError(problem, fix="choose another prior, or other photographs")
         found = cached(
             self,
             [],

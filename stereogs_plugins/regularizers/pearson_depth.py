@@ -51,10 +51,10 @@ class PearsonDepthSettings(Settings):
 class PearsonDepth(Regularizer[PearsonDepthSettings]):
     """1 - Pearson's correlation of rendered depth z and the prior's depth, over the pixels of a view.
 
-    z is as blended, not divided by alpha. The loss is 0 if either map is constant. Only pixels that the prior
-    calls valid are used, for photographs with alpha only `solid` ones, and in virtual views only opaque
-    pixels of the render: empty pixels have depth 0 and semi-transparent rims are too near, and the loss would
-    fill both with fog.
+    z is as blended, not divided by alpha. The loss is 0 if either map is constant. The prior's confidence,
+    if it has one, is the weight of a pixel. Only pixels that the prior calls valid are used, for
+    photographs with alpha only `solid` ones, and in virtual views only opaque pixels of the render: empty
+    pixels have depth 0 and semi-transparent rims are too near, and the loss would fill both with fog.
     """
 
     needs_priors = ("monocular_depth",)
@@ -76,12 +76,15 @@ class PearsonDepth(Regularizer[PearsonDepthSettings]):
         if estimate.valid is not None:
             valid = at_size(estimate.valid, *size)
             shown = valid if shown is None else shown & valid
+        weights = None if estimate.confidence is None else at_size(estimate.confidence, *size)
         if shown is not None:
             depth, values, farness = depth[shown], values[shown], farness[shown]
-        loss = 1 - correlation(farness, depth)
+            weights = None if weights is None else weights[shown]
+        loss = 1 - correlation(farness, depth, weights)
         shifted = estimate.inverse and estimate.ambiguity == "affine"
         if self.settings.offset is not None and shifted and values.numel():
-            loss = loss.minimum(1 - correlation(reciprocal(values, self.settings.offset), depth))
+            other = reciprocal(values, self.settings.offset)
+            loss = loss.minimum(1 - correlation(other, depth, weights))
         return self._ramp(step.iteration) * loss
 
     def _maps(self, step: Step) -> tuple[Tensor, MonocularDepth, Tensor | None]:
@@ -121,15 +124,27 @@ def reciprocal(inverse: Tensor, offset: float) -> Tensor:
     return 1 / (inverse + offset)
 
 
-def correlation(first: Tensor, second: Tensor) -> Tensor:
-    """Return Pearson's correlation of two maps of the same shape; 1 without gradient if one is constant."""
-    parts = [(values - values.mean(), values.detach()) for values in (first, second)]
+def correlation(first: Tensor, second: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return Pearson's correlation of two maps of the same shape; 1 without gradient if one is constant.
+
+    Args:
+        weights: of the pixels, at least 0; None where all count equally.
+    """
+    parts = [(_deviation(values, weights), values.detach()) for values in (first, second)]
     lengths = [deviation.norm() for deviation, _ in parts]
     for length, (_, values) in zip(lengths, parts, strict=True):
         if not float(length.detach()) > CONSTANT * float(values.norm()):
             return first.new_ones(())
     cosine: Tensor = (parts[0][0] * parts[1][0]).sum() / (lengths[0] * lengths[1])
     return cosine
+
+
+def _deviation(values: Tensor, weights: Tensor | None) -> Tensor:
+    """Differences to the mean, times the roots of the weights, whose mean becomes 1."""
+    if weights is None:
+        return values - values.mean()
+    share = weights / weights.mean()
+    return (values - (share * values).mean()) * share.sqrt()
 
 
 @hookimpl

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cache, cached_property
 from typing import Any
 
+import pyopencl as cl
 import pytest
 import torch
 
@@ -14,6 +16,27 @@ from core_rasterizer.device import KernelText, Program, Variant
 
 OPTIMIZE = "OPTIMIZE"
 """Environment variable; `make runtimes` sets it, and everything is compiled as for runs."""
+
+
+_Program = cl.Program
+"""Not that of the class below."""
+
+
+@cache
+def _built(context: cl.Context, text: str, options: tuple[str, ...], more: str | None) -> Any:
+    """A program; `more`: PYOPENCL_BUILD_OPTIONS."""
+    return _Program(context, text).build(options=list(options))
+
+
+class _BuiltOnce:
+    """A program that all variants of a device share; each creates its own kernels from it."""
+
+    def __init__(self, context: cl.Context, text: str) -> None:
+        self._context, self._text = context, text
+
+    def build(self, options: Sequence[str]) -> Any:
+        more = os.environ.get("PYOPENCL_BUILD_OPTIONS")
+        return _built(self._context, self._text, tuple(options), more)
 
 
 class QuickDevice(Device):
@@ -45,6 +68,7 @@ class QuickDevice(Device):
     ) -> Program:
         in_runs = dtype == torch.float32 and self.variant == "cpu" and not self._everything
         with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cl, "Program", _BuiltOnce)
             if self.kind == "cpu" and not in_runs and OPTIMIZE not in os.environ:
                 patch.setenv("PYOPENCL_BUILD_OPTIONS", "-cl-opt-disable")
             return super()._build(sources, dtype, defines)

@@ -168,20 +168,23 @@ class PhotosScene(SceneLoader[PhotosSettings]):
                 where=str(self.settings.path),
                 fix="install its package; or leave out `cameras`, to find cameras by matches",
             )
+        if problem := known[name].refusal(len(found)):
+            raise SceneError(
+                problem,
+                where=str(self.settings.path),
+                fix=f"leave out `cameras: {name}`, to find cameras by matches; or use as many photographs",
+            )
         return self._remembered(found, known[name])
 
     def _tried(self, prior: PosedDepthPrior[Any], found: list[UnposedPhoto]) -> list[FoundCameras]:
         """Cameras that begin with those of a prior; none if it does not accept so many photographs."""
-        least, most = prior.accepted_views
-        name = prior.context.name
-        if not least <= len(found) <= (most or len(found)):
-            accepted = f"{least} to {most}" if most else f"{least} or more"
-            _log.info("the prior %r accepts %s photographs, not %d", name, accepted, len(found))
+        if problem := prior.refusal(len(found)):
+            _log.info("%s", problem)
             return []
         cameras = self._remembered(found, prior)
         _log.info(
             "from the cameras of the prior %r, those of %d of %d photographs fit together",
-            *(name, cameras.placed, len(found)),
+            *(prior.context.name, cameras.placed, len(found)),
         )
         return [cameras]
 

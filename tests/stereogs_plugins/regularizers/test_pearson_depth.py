@@ -161,3 +161,13 @@ def test_colours_feel_it_only_through_a_differentiable_prior(prior: type[Brightn
     assert moved["means"]
     assert moved["opacity_logits"]
     assert moved["sh"] == prior.differentiable
+
+
+def test_confidence_is_the_weight_of_a_pixel() -> None:
+    confidence = torch.tensor([[0.2, 1.0, 0.5], [0.0, 0.9, 0.1]])
+    covariance = np.cov(-INVERSE.ravel(), DEPTH.ravel(), aweights=confidence.ravel())
+    expected = 1 - covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    assert fitted(None, MonocularDepth(INVERSE, confidence=confidence)) == pytest.approx(expected)
+    even = MonocularDepth(INVERSE, confidence=torch.full((2, 3), 0.3))
+    assert fitted(200.0, even) == pytest.approx(fitted(200.0), rel=1e-4)
+    assert fitted(1.0, MonocularDepth(INVERSE, confidence=torch.zeros(2, 3))) == 0

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from core_rasterizer import open_device
-from registry import Context, PluginError, Scene, SceneError, Settings
+from registry import Context, Scene, SceneError, Settings
 from registry.priors import PosedDepth, PosedDepthPrior
 from registry.toolkit.drawing import to_bytes
 from stereogs_plugins.scenes.photos import PhotosScene, VideoScene
@@ -256,7 +256,7 @@ def test_a_prior_is_tried_for_photographs_that_do_not_connect(
     assert f"those of {COUNT if better else COUNT - 1} of {COUNT} photographs" in caplog.text
     with caplog.at_level(logging.INFO, logger="stereogs.photos"):
         loaded(folder, pair)
-    assert "the prior 'network' accepts 2 to 2 photographs, not" in caplog.text
+    assert "the prior 'network' accepts 2 to 2 photographs, and got" in caplog.text
     assert len(asked) == 3
 
 
@@ -274,8 +274,9 @@ def test_a_prior_is_not_asked_if_matches_connect_all(folder: Path, entry: Path) 
 def test_a_prior_that_is_not_there_or_does_not_accept_so_many_is_refused(folder: Path) -> None:
     with pytest.raises(SceneError, match=r"the prior 'network'.*is not installed"):
         load(folder, cameras="network")
-    with pytest.raises(PluginError, match="accepts 2 to 2 photographs, and got 5"):
+    with pytest.raises(SceneError, match="accepts 2 to 2 photographs, and got 5") as caught:
         loaded(folder, confident(in_a_row, kind=Pair), cameras="network")
+    assert "leave out `cameras: network`" in caught.value.fix
 
 
 def test_photographs_and_videos_name_the_prior() -> None:
