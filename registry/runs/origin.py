@@ -29,10 +29,11 @@ from ..discovery import GROUP, OWN_PACKAGE, Offer
 from ..errors import RunError
 from ..messages.visible_text import without_credentials
 from ..pipeline.pipeline import Item, Pipeline
-from ..pipeline.settings_check import recorded
+from ..pipeline.settings_check import leaves, recorded
 
 _HASH_SETTING = "sha256"
 """End of the names of settings that hold a file's hash."""
+_CONTENT = "the content of "
 _SHOWN = 5
 _ENGINE = "stereogs-rasterizer"
 """The distribution of `core_rasterizer`, on which ours depends."""
@@ -48,7 +49,7 @@ _log = logging.getLogger("stereogs")
 def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
     """Return digests of all inputs of a run by a readable name: BLAKE2b, 16 bytes in hexadecimal.
 
-    They cover every bit of the scene, and the hashes of model files in the pipeline.
+    They cover every bit of the scene, and the model files of the pipeline.
     """
     train, test = ([view.name for view in views] for views in (scene.train, scene.test))
     digests = {
@@ -72,7 +73,17 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
         for name, value in recorded(item.settings).items():
             if name.endswith(_HASH_SETTING) and value is not None:
                 digests[f"the file of {item.qualified_name}.{name}"] = str(value)
+    for item in pipeline.items["priors"]:
+        for name, value in item.settings:
+            for path in leaves(value, Path):
+                if (file := path.expanduser()).is_file():
+                    digests[f"{_CONTENT}{item.qualified_name}.{name}"] = _digest_of(file)
     return digests
+
+
+def _digest_of(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def _digest(*parts: Any) -> str:
@@ -89,8 +100,12 @@ def _digest(*parts: Any) -> str:
 
 
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of inputs that differ, are new or are missing."""
-    return tuple(name for name in {**before, **now} if before.get(name) != now.get(name))
+    """Return the names of inputs that differ, are new or are missing.
+
+    The file of a network may be missing: its answers are in the cache, or are no longer needed.
+    """
+    changed = (name for name in {**before, **now} if before.get(name) != now.get(name))
+    return tuple(x for x in changed if not x.startswith(_CONTENT) or (x in before and x in now))
 
 
 def refuse_changed_inputs(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -100,6 +101,23 @@ def test_model_files_are_compared_by_the_hashes_in_the_pipeline(
         for digit in "ab"
     ]
     assert changed_inputs(*digests) == ("the file of metrics.lpips.sha256",)
+
+
+def test_the_network_of_a_prior_is_compared_by_its_content(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It may be missing, as its answers are in the cache; a finished run does not need them."""
+    monkeypatch.delenv("STEREOGS_PLUGINS")
+    file = tmp_path / "a.onnx"
+    text = "name: x\nscene: procedural\ninitializer: random\npriors: [{use: onnx_mono, model: MODEL}]\n"
+    pipeline = parse_pipeline(text.replace("MODEL", str(file)), Plugins())
+    missing = input_digests(tiny_scene(), pipeline)
+    file.write_bytes(b"one")
+    one = input_digests(tiny_scene(), pipeline)
+    file.write_bytes(b"two")
+    two = input_digests(tiny_scene(), pipeline)
+    assert changed_inputs(one, two) == ("the content of priors.onnx_mono.model",)
+    assert changed_inputs(one, missing) == changed_inputs(missing, two) == ()
 
 
 def test_a_long_list_is_cut() -> None:
