@@ -74,7 +74,7 @@ races: $(VENV)/.dev ## all kernels in the simulator oclgrind, fetched first, whi
 	$(BIN)/python -m tests.runtimes.races
 
 new-plugins: $(VENV)/.dev ## a package of each kind, installed by pip, tested by its own tests and trained; minutes
-	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs/verbs/test_new_plugin.py
+	NEW_PLUGINS=all $(BIN)/python -m pytest tests/stereogs/verbs/test_new_plugin.py --timeout 1800
 
 package: $(VENV)/.dev ## wheels and sdists in dist/, installed into an empty environment and used there; minutes
 	$(PIP) build twine

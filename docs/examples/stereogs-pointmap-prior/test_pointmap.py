@@ -24,27 +24,18 @@ class Row(torch.nn.Module):
             (self.moved(images, torch.full((count,), float(x))) - images[:1]).abs().mean((1, 2, 3))
             for x in range(-(width // 3), width // 3 + 1)
         ]
-        shifts = (
-            torch.stack(costs).argmin(dim=0).float() - width // 3
-        )  # of each view against view 0
+        # Of each view against view 0. The focal length is the width, and the unit the main depth.
+        shifts = torch.stack(costs).argmin(dim=0).float() - width // 3
         poses = torch.eye(4).repeat(count, 1, 1)
-        poses[:, 0, 3] = (
-            shifts / width
-        )  # the focal length is the width, and the unit the main depth
+        poses[:, 0, 3] = shifts / width
         points, logits = [], []
         for k in range(count):
             nearness = torch.linspace(0.5, 3, 26)
+            warped = [self.moved(images, (shifts - shifts[k]) * near) for near in nearness]
             differences = [
-                avg_pool2d(
-                    (self.moved(images, (shifts - shifts[k]) * near) - images[k]).abs().mean(1),
-                    5,
-                    1,
-                    2,
-                ).sum(0)
-                / max(1, count - 1)
-                for near in nearness
+                avg_pool2d((w - images[k]).abs().mean(1), 5, 1, 2).sum(0) for w in warped
             ]
-            cost, best = torch.stack(differences).min(dim=0)
+            cost, best = (torch.stack(differences) / max(1, count - 1)).min(dim=0)
             depth = 1 / nearness[best]
             x = (torch.arange(width) + 0.5) / width - 0.5
             y = ((torch.arange(height) + 0.5 - height / 2) / width)[:, None]
