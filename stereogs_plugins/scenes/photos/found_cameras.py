@@ -76,6 +76,11 @@ def remembered_cameras(
         return FoundCameras(reconstruction, _model(reconstruction))
 
 
+def are_remembered(photos: Sequence[UnposedPhoto], treatment: str) -> bool:
+    """Whether the result of `remembered_cameras` is cached."""
+    return Cache("cameras").load(_key(photos, treatment), Path.is_dir) is not None
+
+
 def _key(photos: Sequence[UnposedPhoto], treatment: str) -> str:
     code = sorted(Path(__file__).with_name("photogrammetry").rglob("*.py"))
     return content_key(

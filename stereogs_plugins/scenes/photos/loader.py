@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
 CAMERA_PRIOR = "posed_depth"
 """Capability of priors that estimate cameras."""
+_SMALLEST = 600
+"""`matching_size` at least when time is short."""
+_PER_PHOTO, _PER_PIXEL = 3.2, 3.8e-6
+"""CPU seconds for a photograph's cameras: 43.6 for five of 1200x900 pixels, 23.0 for five of 600x450."""
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -89,6 +93,24 @@ class PhotosScene(SceneLoader[PhotosSettings]):
     def recognizes(cls, folder: Path) -> bool:
         """Return True if the folder and its subfolders contain pictures and no files of a data set."""
         return is_picture_folder(folder)
+
+    @classmethod
+    def within(cls, settings: PhotosSettings, cpu_seconds: float) -> PhotosSettings:
+        """Find cameras in smaller photographs, of at least 600 pixels, unless the cameras are known."""
+        from .found_cameras import are_remembered
+        from .unposed_photos import read_folder
+
+        if settings.cameras is not None:
+            return settings
+        try:
+            found, _ = read_folder(settings.path.expanduser(), with_masks=settings.masks)
+        except SceneError:  # `load` raises it
+            return settings
+        usual = min(settings.matching_size, max(max(photo.size) for photo in found))
+        side = affordable_side(usual, len(found), cpu_seconds)
+        if side == usual or are_remembered(found, treatment_of(settings)):
+            return settings
+        return settings.model_copy(update={"matching_size": side})
 
     def load(self) -> Scene:
         """Return the scene.
@@ -194,12 +216,11 @@ class PhotosScene(SceneLoader[PhotosSettings]):
         from registry.priors import identity
 
         from .found_cameras import remembered_cameras
-        from .photogrammetry.learned_matches import known_files
         from .photogrammetry.structure_from_motion import reconstruct
 
         settings = self.settings
         decoder = Decoder(longest_side(settings.matching_size), "box", upright=True)
-        treatment = f"{settings.matching_size} {settings.share_lens} {known_files() is not None}"
+        treatment = treatment_of(settings)
         estimate = None if prior is None else prior.posed_depths
         cameras = remembered_cameras(
             found,
@@ -207,6 +228,19 @@ class PhotosScene(SceneLoader[PhotosSettings]):
             lambda empty: reconstruct(found, decoder, settings.share_lens, empty, estimate),
         )
         return cameras._replace(prior=prior)
+
+
+def affordable_side(side: int, photographs: int, cpu_seconds: float) -> int:
+    """Return the longer side at which cameras are found in time, between `_SMALLEST` and `side`."""
+    left = max(0.0, cpu_seconds / photographs - _PER_PHOTO)
+    return min(side, max(_SMALLEST, int(math.sqrt(left / _PER_PIXEL))))
+
+
+def treatment_of(settings: PhotosSettings) -> str:
+    """What the cameras depend on beside the photographs and a prior."""
+    from .photogrammetry.learned_matches import known_files
+
+    return f"{settings.matching_size} {settings.share_lens} {known_files() is not None}"
 
 
 def _origin(prior: PosedDepthPrior[Any] | None) -> str:

@@ -25,7 +25,7 @@ from registry.toolkit import counted
 from registry.toolkit.cache import Cache, content_key, source_digest
 from registry.toolkit.photos import Impression
 
-from .loader import PhotosScene, PhotosSettings
+from .loader import PhotosScene, PhotosSettings, affordable_side
 
 if TYPE_CHECKING:
     import cv2.typing
@@ -78,14 +78,19 @@ class VideoScene(SceneLoader[VideoSettings]):
 
     @classmethod
     def within(cls, settings: VideoSettings, cpu_seconds: float) -> VideoSettings:
-        """Take fewer frames, at least six, unless they were chosen before: then their cameras are known."""
-        frames = max(_FEWEST, int(cpu_seconds / _CPU_SECONDS))
+        """Take fewer frames, at least six, then find cameras in smaller ones, of at least 600 pixels.
+
+        Frames that were chosen before stay: their cameras are known.
+        """
+        frames = min(settings.frames, max(_FEWEST, int(cpu_seconds / _CPU_SECONDS)))
         video = settings.path.expanduser()
-        if frames >= settings.frames or not video.is_file():
+        if not video.is_file() or Cache("frames").load(_key(video, settings.frames), Path.is_dir):
             return settings
-        if Cache("frames").load(_key(video, settings.frames), Path.is_dir):
-            return settings
-        return settings.model_copy(update={"frames": frames})
+        changed = {"frames": frames}
+        side = affordable_side(settings.matching_size, frames, cpu_seconds)
+        if frames <= _FEWEST and side < min(settings.matching_size, _longer_side(video)):
+            changed["matching_size"] = side
+        return settings.model_copy(update=changed)
 
     def load(self) -> Scene:
         """Return the scene.
@@ -109,6 +114,14 @@ class VideoScene(SceneLoader[VideoSettings]):
                 raise SceneError(error.what, where=str(video), fix=fix) from error
             names = ", ".join(sorted(path.stem.removeprefix("frame_") for path in folder.iterdir()))
         return replace(scene, facts=(*scene.facts, Fact("frames_of_the_video", names)))
+
+
+def _longer_side(video: Path) -> float:
+    """Return the longer side of a video's frames in pixels; 0 if it is not a video."""
+    import cv2
+
+    opened = cv2.VideoCapture(str(video))
+    return max(opened.get(cv2.CAP_PROP_FRAME_WIDTH), opened.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
 
 def _extract(video: Path, wanted: int, folder: Path) -> None:

@@ -8,10 +8,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
+from stereogs_plugins.scenes.photos.loader import treatment_of
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
+from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.scenes.photos.photographs import MATCHES, load, reconstruction_of
 
 Find = Callable[[str, Sequence[UnposedPhoto]], FoundCameras]
@@ -24,6 +28,27 @@ def test_cameras_are_estimated_once(
     load(shutil.copytree(folder, tmp_path / "elsewhere"))
     assert "finding the cameras" not in caplog.text
     assert [*entry.parent.iterdir()] == [entry]
+
+
+def test_short_time_matches_smaller_photographs_unless_their_cameras_are_known(
+    folder: Path, find: tuple[Find, list[Path]], tmp_path: Path
+) -> None:
+    large = tmp_path / "large"
+    large.mkdir()
+    for file in folder.iterdir():
+        with Image.open(file) as picture:
+            picture.resize((1280, 960)).save(large / file.name)
+    asked = build(PhotosScene, path=large).settings
+    taken = [PhotosScene.within(asked, seconds).matching_size for seconds in (0, 20, 33, 44)]
+    assert taken == [600, 600, 945, 1200]
+    small = build(PhotosScene, path=folder).settings
+    assert PhotosScene.within(small, 0) is small, "of 360 pixels"
+    with_prior = asked.model_copy(update={"cameras": "a_prior"})
+    assert PhotosScene.within(with_prior, 0) is with_prior
+    missing = build(PhotosScene, path=tmp_path / "missing").settings
+    assert PhotosScene.within(missing, 0) is missing
+    find[0](treatment_of(asked), read_folder(large).photos)
+    assert PhotosScene.within(asked, 0) is asked
 
 
 @pytest.fixture

@@ -74,6 +74,12 @@ def test_short_time_takes_fewer_frames_unless_their_cameras_may_be_known(
     (tmp_path / "chosen").mkdir()
     video_file._extract(clip, 9, tmp_path / "chosen")
     assert VideoScene.within(asked, 0).frames == 9
+    large = tmp_path / "large.mp4"
+    writer = cv2.VideoWriter(str(large), cv2.VideoWriter.fourcc(*"mp4v"), 10, (960, 720))
+    writer.write(np.zeros((720, 960, 3), np.uint8))
+    writer.release()
+    hasty = VideoScene.within(build(VideoScene, path=large).settings, 30)
+    assert (hasty.frames, hasty.matching_size) == (6, 688), "fewer frames, then smaller ones"
     missing = build(VideoScene, path=tmp_path / "missing.mp4").settings
     assert VideoScene.within(missing, 0) is missing
 
