@@ -17,7 +17,9 @@ def test_pre_commit_has_the_versions_of_make() -> None:
     )
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text("utf-8"))["repos"]
     for hook in hooks:
-        package = hook["repo"].rpartition("/")[2].removesuffix("-pre-commit").removeprefix("mirrors-")
+        package = (
+            hook["repo"].rpartition("/")[2].removesuffix("-pre-commit").removeprefix("mirrors-")
+        )
         assert hook["rev"].removeprefix("v") == pinned[package]
 
 
