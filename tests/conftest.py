@@ -24,7 +24,7 @@ for name in ("COLUMNS", "LINES"):
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """From here on garbage is collected again, and what is there is no longer looked through each time."""
+    """Collect garbage again during the tests, but skip the objects that exist already."""
     gc.collect()
     gc.freeze()
     gc.enable()

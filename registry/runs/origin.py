@@ -75,9 +75,10 @@ def input_digests(scene: Scene, pipeline: Pipeline) -> dict[str, str]:
                 digests[f"the file of {item.qualified_name}.{name}"] = str(value)
     for item in pipeline.items["priors"]:
         for name, value in item.settings:
-            for path in leaves(value, Path):
+            for number, path in enumerate(leaves(value, Path)):
                 if (file := path.expanduser()).is_file():
-                    digests[f"{_CONTENT}{item.qualified_name}.{name}"] = _digest_of(file)
+                    place = f".{number}" if number else ""
+                    digests[f"{_CONTENT}{item.qualified_name}.{name}{place}"] = _digest_of(file)
     return digests
 
 
@@ -102,7 +103,7 @@ def _digest(*parts: Any) -> str:
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
     """Return the names of inputs that differ, are new or are missing.
 
-    The file of a network may be missing: its answers are in the cache, or are no longer needed.
+    A network's file may be missing, because its answers are cached or no longer needed.
     """
     changed = (name for name in {**before, **now} if before.get(name) != now.get(name))
     return tuple(x for x in changed if not x.startswith(_CONTENT) or (x in before and x in now))

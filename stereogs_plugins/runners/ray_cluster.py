@@ -170,7 +170,7 @@ class RayCluster(Runner[RayClusterSettings]):
         return _RayTask(self, job, task)
 
     def submit(self, job: Job, without: set[str]) -> Any:
-        """Submit a job, to a machine that is not among `without`; None if there is no other."""
+        """Submit a job to a machine outside `without`; return None if no other machine is suitable."""
         if not without:
             return self._train.remote(job, self._board)
         others = [node for node in self._suitable() if node not in without]
@@ -205,7 +205,7 @@ def _on(node: str, *, soft: bool = False) -> Any:
 
 
 class _RayTask(RunningTask):
-    """A task in the cluster; `failure` extracts its result."""
+    """A task in the cluster; `ended` receives its result."""
 
     def __init__(self, runner: RayCluster, job: Job, task: TrainingTask) -> None:
         self._runner, self._ray, self._board = runner, runner._ray, runner._board

@@ -193,7 +193,7 @@ class _End(NamedTuple, Generic[Planned]):
     data_missing: bool
 
     def state(self, *, stopped: bool) -> State | None:
-        """Return what a queue is told; `stopped` after Ctrl-C."""
+        """Return the state for the queue; `stopped` says whether Ctrl-C ended the trainings."""
         if not self.failure:
             return None
         return "stopped" if stopped else "not here" if self.data_missing else "failed"

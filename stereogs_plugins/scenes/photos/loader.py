@@ -23,7 +23,13 @@ from registry.toolkit.photos import (
     longest_side,
 )
 
-from .picture_files import COMPANION, is_picture_folder, left_out_lines, reason_lines
+from .picture_files import (
+    COMPANION,
+    is_picture_folder,
+    left_out_lines,
+    readable_pictures,
+    reason_lines,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -102,11 +108,15 @@ class PhotosScene(SceneLoader[PhotosSettings]):
 
         if settings.cameras is not None:
             return settings
+        given, folder = settings.matching_size, settings.path.expanduser()
         try:
-            found, _ = read_folder(settings.path.expanduser(), with_masks=settings.masks)
+            count = len(readable_pictures(folder)[0])
+            if affordable_side(given, max(1, count), cpu_seconds) == given:
+                return settings  # without reading the photographs
+            found, _ = read_folder(folder, with_masks=settings.masks)
         except SceneError:  # `load` raises it
             return settings
-        usual = min(settings.matching_size, max(max(photo.size) for photo in found))
+        usual = min(given, max(max(photo.size) for photo in found))
         side = affordable_side(usual, len(found), cpu_seconds)
         if side == usual or are_remembered(found, treatment_of(settings)):
             return settings

@@ -61,6 +61,12 @@ def taken(queue: SharedQueue) -> list[PlannedRun]:
     return found
 
 
+def first_of(queue: SharedQueue) -> PlannedRun:
+    planned = queue.take()
+    assert planned is not None
+    return planned
+
+
 def finish(folder: ExperimentFolder, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Return a function that makes runs count as finished."""
     finished: set[PlannedRun] = set()
@@ -75,8 +81,7 @@ def test_each_run_is_taken_once(
     done = finish(far.folder, monkeypatch)
     with far.held:
         one, two = far.join("one"), far.join("two")
-        first = one.take()
-        assert first is not None
+        first = first_of(one)
         assert {first, *taken(two)} == set(runs)
         assert one.take() is None
         assert len(one) == 3
@@ -132,8 +137,7 @@ def test_a_run_that_failed_is_tried_again_only_by_a_later_command(
     far = Far(runs, tmp_path / "out")
     with far.held:
         one, two = far.join("one"), far.join("two")
-        first = one.take()
-        assert first is not None
+        first = first_of(one)
         assert one.ended(first, "failed", "no memory")
         assert taken(two) == [*runs[1:]]
         assert two.take_settled() == [(first, "no memory (host_one_1-a)")]
@@ -147,8 +151,7 @@ def test_data_missing_on_one_machine_is_tried_on_others(
     far = Far(runs, tmp_path / "out")
     with far.held:
         one, two = far.join("one"), far.join("two")
-        first = one.take()
-        assert first is not None
+        first = first_of(one)
         assert not one.ended(first, "not here", "no garden")
         assert one.take() is None  # the others name the same folder, and are not even tried
         assert len(one) == 4
