@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,11 @@ import torch
 from PIL import Image
 
 from registry import Scene, SceneError
-from stereogs_plugins.scenes.blender import BlenderScene, stereogs_register_scenes
+from stereogs_plugins.scenes.blender import (
+    STANDARD_VIEWS,
+    BlenderScene,
+    stereogs_register_scenes,
+)
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.scenes.small_scenes import World, write_blender
@@ -119,6 +124,18 @@ def test_bad_input_is_an_error(
 def test_missing_numbers(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"\[77, 78\] are missing"):
         load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
+
+
+def test_without_the_standard_numbers_all_photographs_train(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "stereogs.photos")
+    folder = write_blender(tmp_path, World())
+    scene = build(BlenderScene, path=folder).load()
+    assert len(scene.train) == 9
+    assert "all 9 photographs train" in caplog.text
+    with pytest.raises(SceneError, match="are missing"):
+        load(folder, train_ids=STANDARD_VIEWS)  # as a protocol says
 
 
 def test_lego_is_the_published_scene() -> None:
