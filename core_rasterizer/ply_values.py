@@ -66,8 +66,8 @@ def read_as_parameters(
         )
     if doubtful:
         _log.warning(
-            "%s perhaps stores %s, but they are read as the logarithms, logits and SH coefficients of 3DGS; if "
-            "the scene looks wrong, write log(length), log(p / (1 - p)) and (color - 0.5) / %.4f",
+            "%s perhaps stores %s, but is read as logarithms, logits and SH coefficients, as in 3DGS; if the "
+            "scene looks wrong, write log(length), log(p / (1 - p)) and (color - 0.5) / %.4f",
             *(path, " and ".join(doubtful), SH_C0),
         )
     if lengths in converted:

@@ -350,8 +350,8 @@ def test_scenes_of_other_kinds_are_named(tmp_path: Path, scene_file: Path) -> No
     zipped.write_bytes(gzip.compress(flat.read_bytes()))
     anchors = Path(shutil.copy(scene_file, tmp_path / "anchors.ply"))
     with_header(anchors, "f_dc_0", "f_anchor_feat_0")
-    named = ((flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15"), (zipped, "gzip"))
-    named += ((anchors, "Scaffold-GS"),)
+    named = [(flat, "2DGS"), (packed, "SuperSplat"), (splat, "antimatter15"), (zipped, "gzip")]
+    named.append((anchors, "Scaffold-GS"))
     for path, what in named:
         with pytest.raises(PlyError, match=what) as caught:
             load_ply(path)
