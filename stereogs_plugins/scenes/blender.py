@@ -46,8 +46,8 @@ class BlenderSettings(Settings):
     path: Path
     """Path of the scene's folder with transforms_train.json and transforms_test.json."""
     train_ids: tuple[int, ...] | Literal["standard"] | None = "standard"
-    """Numbers of the training photographs. `standard` takes 2 16 26 55 73 76 86 93, or all if one of these
-    does not exist; null takes all."""
+    """Numbers of the training photographs. `standard` takes r_2, r_16, r_26, r_55, r_73, r_76, r_86 and
+    r_93, or all if one of these does not exist; null takes all."""
     test_every: int = Field(8, ge=0)
     """Test views are the photographs of transforms_test.json with a number divisible by this; 0 gives no
     test views."""
@@ -85,7 +85,7 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         train = _read_split(folder, "train")
         every = settings.test_every
         test = _read_split(folder, "test", _NO_TEST_FIX) if every else {}
-        train_ids = self._train_ids(list(train))
+        train_ids = self._train_ids(train)
         test_ids = [number for number in test if every and number % every == 0]
         missing = [number for number in train_ids if number not in train]
         if missing:
@@ -117,14 +117,15 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         bounds = (settings.near or near, settings.far or far)
         return loaded.scene("blender", folder, bounds, None, facts)
 
-    def _train_ids(self, existing: list[int]) -> list[int]:
+    def _train_ids(self, train: dict[int, PosedPhoto]) -> list[int]:
         chosen = self.settings.train_ids
-        if chosen == "standard" and not {*STANDARD_VIEWS} <= {*existing}:
-            _log.info("not a scene of NeRF's data set: all %d photographs train", len(existing))
-            chosen = None
-        if chosen is None:
-            return existing
-        return [*(STANDARD_VIEWS if chosen == "standard" else chosen)]
+        if chosen == "standard":
+            published = all(k in train and train[k].path.stem == f"r_{k}" for k in STANDARD_VIEWS)
+            if published:
+                return [*STANDARD_VIEWS]
+            _log.info("not a scene of NeRF's data set: all %d photographs train", len(train))
+            return [*train]
+        return [*(train if chosen is None else chosen)]
 
 
 class _Frame(pydantic.BaseModel, extra="allow"):

@@ -126,16 +126,24 @@ def test_missing_numbers(tmp_path: Path) -> None:
         load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
 
 
-def test_without_the_standard_numbers_all_photographs_train(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("name", "trained"), [("r_{}", 8), ("{:04}", 94), ("r_1{:02}", 94)])
+def test_the_standard_views_train_only_in_a_scene_of_nerf(
+    name: str, trained: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "stereogs.photos")
-    folder = write_blender(tmp_path, World())
-    scene = build(BlenderScene, path=folder).load()
-    assert len(scene.train) == 9
-    assert "all 9 photographs train" in caplog.text
-    with pytest.raises(SceneError, match="are missing"):
-        load(folder, train_ids=STANDARD_VIEWS)  # as a protocol says
+    folder = write_blender(tmp_path, World(width=8, height=6))
+    content = json.loads((folder / "transforms_train.json").read_text())
+    frames = []
+    for number in range(94):
+        file = f"train/{name.format(number)}"
+        Image.new("RGB", (8, 6)).save(folder / f"{file}.png")
+        frames.append({**content["frames"][number % 9], "file_path": file})
+    change_cameras(folder, frames=frames)
+    assert len(build(BlenderScene, path=folder).load().train) == trained
+    assert ("all 94 photographs train" in caplog.text) == (trained == 94)
+    if trained == 94 and name.startswith("r_"):
+        with pytest.raises(SceneError, match="are missing"):
+            load(folder, train_ids=STANDARD_VIEWS)  # as a protocol says
 
 
 def test_lego_is_the_published_scene() -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .gaussians import SH_C0
+from ..gaussians import SH_C0
 
 MAX_LOGIT = 30.0
 """Opacity logit that stands for infinity: the opacity is 1 in single precision."""

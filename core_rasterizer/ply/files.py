@@ -21,15 +21,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .errors import PlyError
-from .gaussians import SH_C0, Gaussians
-from .ply_header import CONVERT, read_header
-from .ply_values import MAX_LOGIT, read_as_parameters
+from ..errors import PlyError
+from ..gaussians import SH_C0, Gaussians
+from .header import CONVERT, read_header
+from .values import MAX_LOGIT, read_as_parameters
 
 if TYPE_CHECKING:
     from plyfile import PlyData
 
-    from .ply_header import PlyHeader
+    from .header import PlyHeader
 
 _COMMENT = "SplatRenderMode: default"
 """Tells viewers that training used no anti-aliasing filter."""
