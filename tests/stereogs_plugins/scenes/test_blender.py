@@ -131,13 +131,11 @@ def test_the_standard_views_train_only_in_a_scene_of_nerf(
     name: str, trained: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "stereogs.photos")
-    folder = write_blender(tmp_path, World(width=8, height=6))
-    content = json.loads((folder / "transforms_train.json").read_text())
-    frames = []
-    for number in range(94):
-        file = f"train/{name.format(number)}"
-        Image.new("RGB", (8, 6)).save(folder / f"{file}.png")
-        frames.append({**content["frames"][number % 9], "file_path": file})
+    folder = write_blender(tmp_path, World(width=8, height=6, count=94))
+    frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
+    for number, frame in enumerate(frames):
+        frame["file_path"] = f"train/{name.format(number)}"
+        (folder / "train" / f"r_{number}.png").rename(folder / f"{frame['file_path']}.png")
     change_cameras(folder, frames=frames)
     assert len(build(BlenderScene, path=folder).load().train) == trained
     assert ("all 94 photographs train" in caplog.text) == (trained == 94)
