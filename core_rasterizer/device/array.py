@@ -15,7 +15,7 @@ from torch import Tensor
 from .host_pool import host_pool
 from .memory import DeviceMemory
 
-_NUMPY_TYPES = {
+_NUMPY_TYPES: dict[torch.dtype, np.dtype[Any]] = {
     torch.float32: np.dtype(np.float32),
     torch.float64: np.dtype(np.float64),
     torch.int32: np.dtype(np.int32),
