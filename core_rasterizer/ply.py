@@ -23,6 +23,7 @@ from torch import Tensor
 
 from .errors import PlyError
 from .gaussians import SH_C0, Gaussians
+from .layout import MAX_LOGIT
 from .ply_header import CONVERT, read_header
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ _COMMENT = "SplatRenderMode: default"
 
 _MIP, _FILTER = "SplatRenderMode: mip", "filter_3D"
 """A comment, and a property, of scenes trained with Mip-Splatting's filters."""
-MAX_LOGIT = 30.0
-"""Opacity logit that stands for infinity: the opacity is 1 in single precision."""
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -137,7 +136,7 @@ def load_ply(path: str | Path) -> Gaussians:
             path,
         )
     logits = vertex["opacity"]
-    logits[np.isinf(logits)] = np.copysign(MAX_LOGIT, logits[np.isinf(logits)])
+    logits[np.isinf(logits)] = np.copysign(np.float32(MAX_LOGIT), logits[np.isinf(logits)])
     columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
     return _gaussians_from(columns, rest)
 
