@@ -87,6 +87,12 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         test = _read_split(folder, "test", _NO_TEST_FIX) if every else {}
         train_ids = self._train_ids(train)
         test_ids = [number for number in test if every and number % every == 0]
+        if test and not test_ids:
+            _log.warning(
+                "no number in transforms_test.json is divisible by %d, so there is no test view; "
+                "`test_every: 1` tests all",
+                every,
+            )
         missing = [number for number in train_ids if number not in train]
         if missing:
             raise SceneError(

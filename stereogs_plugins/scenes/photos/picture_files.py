@@ -26,6 +26,8 @@ _RUN_FILES = {"pipeline.yaml", "provenance.json"}
 """Files of a folder that a training run wrote; its pictures are renders."""
 _DATABASES = (".db", ".h5")
 """Suffixes of features and matches of COLMAP and hloc, which are found anew."""
+_CAMERAS = (".xml", ".out", ".nvm", ".sfm", ".psx", ".rcproj", ".rsproj", ".mg")
+"""Suffixes of cameras and projects of Metashape, Bundler, VisualSfM, RealityScan and Meshroom."""
 _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".mat", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
@@ -152,8 +154,10 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[Path], list[LeftOu
 
 def _what(path: Path) -> str:
     """What a file that is not a picture is."""
-    database = path.suffix.lower() in _DATABASES
-    return "a database of matches; they are found anew" if database else "not a picture"
+    suffix = path.suffix.lower()
+    if suffix in _CAMERAS:
+        return "cameras of another program; export them for COLMAP to use them"
+    return "a database of matches; they are found anew" if suffix in _DATABASES else "not a picture"
 
 
 def _drawn(path: Path) -> bool:

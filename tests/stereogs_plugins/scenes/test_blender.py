@@ -144,6 +144,17 @@ def test_the_standard_views_train_only_in_a_scene_of_nerf(
             load(folder, train_ids=STANDARD_VIEWS)  # as a protocol says
 
 
+def test_no_test_view_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_blender(tmp_path, World())
+    assert load(folder, test_every=9).test
+    assert not caplog.text
+    content = json.loads((folder / "transforms_test.json").read_text())
+    content["frames"] = content["frames"][1:]
+    (folder / "transforms_test.json").write_text(json.dumps(content))
+    assert not load(folder, test_every=9).test
+    assert "`test_every: 1` tests all" in caplog.text
+
+
 def test_lego_is_the_published_scene() -> None:
     scene = build(BlenderScene, path=data_folder("blender_lego")).load()
     numbers = [2, 16, 26, 55, 73, 76, 86, 93]
