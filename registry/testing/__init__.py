@@ -12,7 +12,8 @@ Whether it is useful is for its author to test. `stereogs.testing` offers the sa
 from __future__ import annotations
 
 from .conformance import Cost, check
+from .gaussian_kernels import check_kernel
 from .pixel_terms import check_term
 from .scenes import step_of, tiny_scene
 
-__all__ = ["Cost", "check", "check_term", "step_of", "tiny_scene"]
+__all__ = ["Cost", "check", "check_kernel", "check_term", "step_of", "tiny_scene"]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from core_rasterizer import Device, PixelTerm, Rendering, open_device
+from core_rasterizer.device import Variant
 
 from .assertions import require
 
@@ -49,9 +50,8 @@ def check_term(
         return loss
 
     expected = _result(on(None), leaves)
-    kinds: tuple[Literal["cpu", "gpu"], ...] = ("cpu", "gpu") if device.kind == "cpu" else ("gpu",)
-    for kind in kinds:
-        ours = on(_with_kernels(device, kind))
+    for kind in kinds_of(device):
+        ours = on(with_kernels(device, kind))
         first, again = _result(ours, leaves), _result(ours, leaves)
         for title, value, repeated, wanted in zip(
             ("loss", *(f"gradient of {name}" for name in names)),
@@ -68,8 +68,13 @@ def check_term(
         torch.autograd.gradcheck(ours, leaves, fast_mode=True, atol=1e-6)
 
 
+def kinds_of(device: Device) -> tuple[Variant, ...]:
+    """Kinds of kernels that the device runs in a reasonable time."""
+    return ("cpu", "gpu") if device.kind == "cpu" else ("gpu",)
+
+
 @cache
-def _with_kernels(device: Device, kind: Literal["cpu", "gpu"]) -> Device:
+def with_kernels(device: Device, kind: Variant) -> Device:
     """The device with these kernels, which are built once."""
     return device.as_variant(kind)
 

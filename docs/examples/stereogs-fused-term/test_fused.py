@@ -1,12 +1,12 @@
-"""Tests by the author of a plugin: the contract, and the kernel against the same formula in torch."""
+"""Tests by the author of a plugin: the contract, and each kernel against the same formula in torch."""
 
 import pytest
 import torch
-from stereogs_fused_term import TERM, Charbonnier
+from stereogs_fused_term import FADE, TERM, Charbonnier, UnusedFade
 from torch import Tensor
 
-from stereogs.api import Rendering
-from stereogs.testing import check, check_term
+from stereogs.api import GaussianReader, Rendering
+from stereogs.testing import check, check_kernel, check_term
 
 
 def reference(view: Rendering, target: Tensor, trained: Tensor | None, softness: float) -> Tensor:
@@ -14,8 +14,16 @@ def reference(view: Rendering, target: Tensor, trained: Tensor | None, softness:
     return (length if trained is None else length * trained[:, :, None]).mean()
 
 
-def test_it_keeps_the_contract() -> None:
-    check(Charbonnier)
+def faded(
+    model: GaussianReader, rate: float, softness: float
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    lost = rate * torch.exp(-model.gradient("opacity_logits").abs() / softness)
+    return {"faded": model.opacities() * (1 - lost)}, {"fading": lost.sum()}
+
+
+@pytest.mark.parametrize("component", [Charbonnier, UnusedFade])
+def test_they_keep_the_contract(component: type[Charbonnier] | type[UnusedFade]) -> None:
+    check(component)
 
 
 @pytest.mark.parametrize("masked", [False, True])
@@ -25,3 +33,8 @@ def test_the_kernel_computes_the_formula_and_its_gradient(masked: bool) -> None:
     check_term(
         TERM, reference, view=view, target=torch.rand(7, 9, 3), trained=trained, softness=0.1
     )
+
+
+@pytest.mark.parametrize("softness", [1e-3, 10])
+def test_the_policy_computes_the_formula(softness: float) -> None:
+    check_kernel(FADE, faded, rate=0.5, softness=softness)
