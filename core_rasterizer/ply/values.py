@@ -100,10 +100,9 @@ def _as_opacities(logits: Tensor, *, surely: bool) -> _Found | None:
     """
     if not logits.numel() or logits.min() < 0 or logits.max() == 0:
         return None
-    if len(logits) >= _ENOUGH and MAX_LOGIT < logits.max() <= 255:
-        return _Found("opacities up to 255", True)
     if logits.max() > 1:
-        return None
+        of_bytes = MAX_LOGIT < logits.max() <= 255 and _differ(logits / 255)
+        return _Found("opacities up to 255", True) if of_bytes else None
     many = len(logits) >= _ENOUGH and (_differ(logits) or bool((logits == 1).all()))
     return _Found("opacities in [0, 1]", surely or many)
 

@@ -158,12 +158,12 @@ def collector_at_rest() -> Iterator[None]:
 
 
 def _is_data(given: Path, plugins: Plugins) -> bool:
-    """Return whether the argument of `train` is a folder, or a file that a scene loader recognizes."""
+    """Return whether the argument of `train` is a folder, or a file of another kind than a pipeline."""
     from registry.pipeline.ready import is_pipeline_file
     from registry.recognition import recognizing
 
     is_file = given.is_file() and not is_pipeline_file(given)
-    return given.is_dir() or (is_file and bool(recognizing(given, plugins)))
+    return given.is_dir() or (is_file and bool(given.suffix or recognizing(given, plugins)))
 
 
 def _loader(
