@@ -23,8 +23,9 @@ from torch import Tensor
 
 from ..errors import PlyError
 from ..gaussians import SH_C0, Gaussians
+from ..layout import MAX_LOGIT
 from .header import CONVERT, read_header
-from .values import MAX_LOGIT, read_as_parameters
+from .values import read_as_parameters
 
 if TYPE_CHECKING:
     from plyfile import PlyData

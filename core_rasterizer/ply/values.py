@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from ..gaussians import SH_C0
+from ..layout import MAX_LOGIT
 
-MAX_LOGIT = 30.0
-"""Opacity logit that stands for infinity: the opacity is 1 in single precision."""
 _ENOUGH = 8
 """Number of values from which their range is no accident."""
 _SHORT = 0.1
