@@ -59,6 +59,12 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             where=str(folder),
             fix=f"choose one: `check --format {first}`, `train --set scene.use={first}`",
         )
+    if folder.is_file():
+        raise SceneError(
+            "this is a file, not a folder of data or a video",
+            where=str(folder),
+            fix="give the folder that holds it, unpack an archive; `stereogs view FILE.ply` shows Gaussians",
+        )
     loaders = scene_loaders(plugins)
     lines = ["the folder's format is not known. The loaders looked for:"]
     lines += [

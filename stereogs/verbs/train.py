@@ -158,7 +158,7 @@ def collector_at_rest() -> Iterator[None]:
 
 
 def _is_data(given: Path, plugins: Plugins) -> bool:
-    """Return whether the argument of `train` is a folder, a URL, or a file that a scene loader recognizes."""
+    """Return whether the argument of `train` is a folder, a URL, or a file of another kind than a pipeline."""
     from registry.pipeline.ready import is_pipeline_file
     from registry.recognition import recognizing
     from registry.toolkit.cache.remote import url_of
@@ -166,7 +166,7 @@ def _is_data(given: Path, plugins: Plugins) -> bool:
     if is_pipeline_file(given):
         return False
     is_data = given.is_dir() or url_of(given) is not None
-    return is_data or (given.is_file() and bool(recognizing(given, plugins)))
+    return is_data or (given.is_file() and bool(given.suffix or recognizing(given, plugins)))
 
 
 def _loader(
