@@ -117,7 +117,7 @@ def stages(
     device = device.as_variant(device.variant)
     events: list[tuple[str, cl.Event]] = []
     profiling = cl.command_queue_properties.PROFILING_ENABLE
-    device._open = device.context, cl.CommandQueue(device.context, properties=profiling)
+    device.queue = cl.CommandQueue(device.context, properties=profiling)
     workload, run = Workload(count, device, *size), Program.run
     work(workload)
 

@@ -10,7 +10,7 @@ from .first_use import names_on_first_use
 
 if TYPE_CHECKING:
     from .camera import Camera as Camera
-    from .custom import GaussianKernel as GaussianKernel, PixelTerm as PixelTerm
+    from .custom import PixelTerm as PixelTerm
     from .device import Device as Device, list_devices as list_devices, open_device as open_device
     from .errors import (
         CameraError as CameraError,

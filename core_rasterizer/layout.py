@@ -35,6 +35,11 @@ PARAMETER_GROUPS: dict[str, tuple[int, int | None]] = {
 PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
 """One bit per parameter, for sets of parameters in kernel arguments."""
 
+MAX_LOGIT = 30
+"""Largest magnitude of an opacity logit after a step of Adam. The opacity is 1 in single precision, and the
+slope of the sigmoid, 9e-14, enough for Adam; at 100 it is too small, and a logit would never return.
+"""
+
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 
@@ -133,6 +138,7 @@ _MACROS: dict[str, int | str] = {
     "ROW_OPACITY": _ROWS["opacity_logits"][0],
     "ROW_SH": ROWS_BEFORE_SH,
     "CAPACITY_STEP": CAPACITY_STEP,
+    "MAX_LOGIT": MAX_LOGIT,
     **{f"BIT_{name.upper()}": bit for name, bit in PARAMETER_BITS.items()},
     **CAMERA.macros,
     **GAUSSIAN.macros,

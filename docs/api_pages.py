@@ -10,7 +10,7 @@ INTERFACES = {
     "stereogs": "Train, open and render runs from Python. May change with a note in the changelog.",
     "stereogs.testing": "Tests of your own components. May change with a note in the changelog.",
     "core_rasterizer": (
-        "The engine. `Camera`, `Device`, `Edit`, `GaussianKernel`, `GaussianReader`, `PixelTerm` and "
+        "The engine. `Camera`, `Device`, `Edit`, `GaussianReader`, `PixelTerm` and "
         "`Rendering` are stable from 0.1 on; the others may change with a note in the changelog."
     ),
     "registry.toolkit": "For components, as are the seven below. May change with a note in the changelog.",

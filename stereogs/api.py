@@ -24,7 +24,6 @@ if TYPE_CHECKING:
         Device as Device,
         Edit as Edit,
         ExplainedError as ExplainedError,
-        GaussianKernel as GaussianKernel,
         GaussianReader as GaussianReader,
         PixelTerm as PixelTerm,
         Rendering as Rendering,

@@ -23,7 +23,7 @@ from core_rasterizer import (
     Rendering,
     reference,
 )
-from core_rasterizer.layout import PARAMETER_GROUPS, PARAMETERS
+from core_rasterizer.layout import MAX_LOGIT, PARAMETER_GROUPS, PARAMETERS
 from core_rasterizer.raster import Footprint
 
 NO_BACKGROUND = (0.0, 0.0, 0.0)
@@ -217,6 +217,8 @@ class TorchAdam:
                     corrected.append(moments[name][part] / (1 - beta ** self._steps[group]))
                 first, second = corrected
                 model.leaves[name][part] -= rate * first / (second.sqrt() + _EPSILON)
+                if name == "opacity_logits":
+                    model.leaves[name].clamp_(-MAX_LOGIT, MAX_LOGIT)
 
     def check_parameters(self) -> None:
         self._model.gaussians().check_finite()

@@ -1,6 +1,5 @@
-"""Kernels that callers write: loss terms over pixels, and numbers of Gaussians."""
+"""Kernels that callers write: loss terms over pixels."""
 
-from .gaussian_kernel import GaussianKernel
 from .pixel_term import PixelTerm
 
-__all__ = ["GaussianKernel", "PixelTerm"]
+__all__ = ["PixelTerm"]

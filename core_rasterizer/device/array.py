@@ -15,13 +15,13 @@ from torch import Tensor
 from .host_pool import host_pool
 from .memory import DeviceMemory
 
-_NUMPY_TYPES = {
-    torch.float32: np.float32,
-    torch.float64: np.float64,
-    torch.int32: np.int32,
-    torch.int64: np.int64,
-    torch.uint8: np.uint8,
-    torch.uint16: np.uint16,
+_NUMPY_TYPES: dict[torch.dtype, np.dtype[Any]] = {
+    torch.float32: np.dtype(np.float32),
+    torch.float64: np.dtype(np.float64),
+    torch.int32: np.dtype(np.int32),
+    torch.int64: np.dtype(np.int64),
+    torch.uint8: np.dtype(np.uint8),
+    torch.uint16: np.dtype(np.uint16),
 }
 
 
@@ -51,8 +51,8 @@ class DeviceArray:
         self.shape = shape
         self.dtype = dtype
         # OpenCL has no empty buffers.
-        elements = max(1, math.prod(shape))
-        self.buffer, self._host = device.allocate(elements, dtype, over)
+        self._elements = max(1, math.prod(shape))
+        self.buffer, self._host = device.allocate(self._elements, dtype, over)
         if self._host is None and zeroed:
             self.fill(0)
 
@@ -210,9 +210,9 @@ class DeviceArray:
         Returns:
             The mapped array, whose `base` must be released after the event and not before, and the event.
         """
-        elements, dtype = max(1, math.prod(self.shape)), np.dtype(_NUMPY_TYPES[self.dtype])
+        shape, dtype = (self._elements,), _NUMPY_TYPES[self.dtype]
         mapped, event = cl.enqueue_map_buffer(
-            self.device.queue, self.buffer, flags, 0, (elements,), dtype, is_blocking=False
+            self.device.queue, self.buffer, flags, 0, shape, dtype, is_blocking=False
         )
         return mapped, event
 
@@ -245,4 +245,12 @@ class Scratch:
         if array is None or array.shape[0] < elements:
             margin = elements // 8 if array is not None else 0
             array = self._arrays[name] = DeviceArray(self._device, (elements + margin,), dtype)
+        return array
+
+    def for_results(self, name: str, dtype: torch.dtype, elements: int) -> DeviceArray:
+        """`reserve` for results that may become tensors; see `DeviceArray.for_results`."""
+        array = self._arrays.get(name)
+        if array is None or array.shape[0] < elements:
+            array = DeviceArray.for_results(self._device, elements, dtype)
+            self._arrays[name] = array
         return array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from threading import RLock
 
 import pyopencl as cl
@@ -91,33 +92,31 @@ class DeviceMemory:
         self.bytes_moved = 0
         self.lock = RLock()
         self.retired = Retired()
-        self._open: tuple[cl.Context, cl.CommandQueue] | None = None
 
-    @property
+    @cached_property
     def context(self) -> cl.Context:
         """The context, which contains this device only; variants of a device share it, and the queue.
 
         Raises:
             DeviceError: the driver cannot open the device.
         """
-        return self._opened()[0]
+        return self._opened[0]
 
-    @property
+    @cached_property
     def queue(self) -> cl.CommandQueue:
         """The in-order queue.
 
         Raises:
             DeviceError: as for `context`.
         """
-        return self._opened()[1]
+        return self._opened[1]
 
+    @cached_property
     def _opened(self) -> tuple[cl.Context, cl.CommandQueue]:
-        if self._open is None:
-            with _opening:
-                if self._handle not in _contexts:
-                    _contexts[self._handle] = self._open_it()
-                self._open = _contexts[self._handle]
-        return self._open
+        with _opening:
+            if self._handle not in _contexts:
+                _contexts[self._handle] = self._open_it()
+            return _contexts[self._handle]
 
     def _open_it(self) -> tuple[cl.Context, cl.CommandQueue]:
         try:

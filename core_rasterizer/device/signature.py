@@ -31,7 +31,7 @@ class Signature:
 
     def __init__(self, kernel: str, arguments: Mapping[str, str], real: type[np.floating]) -> None:
         self._kernel = kernel
-        self.names = tuple(arguments)
+        self.names, self._count = tuple(arguments), len(arguments)
         known: dict[str, tuple[Any, Callable[[Any], Any]]] = {
             "buffer": (None, _buffer),
             "int": (np.int32, index),
@@ -49,7 +49,7 @@ class Signature:
             ExplainedError: a name is missing or unknown, or an array is given for a number or vice versa.
         """
         try:
-            if len(arguments) != len(self.names):
+            if len(arguments) != self._count:
                 raise self._wrong(arguments)
             return [convert(arguments[name]) for name, convert in self._converted]
         except (KeyError, AttributeError, TypeError) as error:

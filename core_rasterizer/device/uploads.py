@@ -20,6 +20,7 @@ SHARE = 8
 class _Copy:
     reference: weakref.ref[Tensor]
     version: int
+    memory: int
     array: DeviceArray
 
     def is_of(self, tensor: Tensor, dtype: torch.dtype) -> bool:
@@ -27,6 +28,7 @@ class _Copy:
         return (
             self.reference() is tensor
             and self.version == tensor._version
+            and self.memory == tensor.data_ptr()
             and self.array.dtype == dtype
         )
 
@@ -34,8 +36,8 @@ class _Copy:
 class Uploads:
     """Copies a tensor to the device once, until the tensor is freed or written to.
 
-    Where memory is shared, tensors are wrapped instead. Writes are detected by torch's version counter;
-    writes through numpy or `.data` are not detected.
+    Where memory is shared, tensors of the device's type are wrapped instead. Writes are detected by torch's
+    version counter; writes through numpy or `.data` into a copied tensor are not detected.
     """
 
     def __init__(self, device: DeviceMemory) -> None:
@@ -47,30 +49,28 @@ class Uploads:
 
     def of(self, tensor: Tensor, dtype: torch.dtype) -> DeviceArray:
         """Return a read-only array of the tensor's values, converted to `dtype`."""
-        values = tensor.detach().to("cpu", dtype).contiguous()
-        if self._device.shares_memory:
-            return DeviceArray(self._device, tuple(values.shape), dtype, over=values)
         if tensor.is_inference():  # has no version counter
-            return self._sent(values)
+            return self._sent(tensor, dtype)
         copies, key = self._copies, id(tensor)
         known = copies.pop(key, None)
         if known is None or not known.is_of(tensor, dtype):
             # The copy is dropped with the tensor, before its id can be reused.
             reference = weakref.ref(tensor, lambda _: copies.pop(key, None))
-            known = _Copy(reference, tensor._version, self._sent(values))
+            array = self._sent(tensor, dtype)
+            known = _Copy(reference, tensor._version, tensor.data_ptr(), array)
+            self._make_room(array.nbytes)
         copies[key] = known
-        self._make_room()
         return known.array
 
-    def _sent(self, values: Tensor) -> DeviceArray:
-        copy = DeviceArray(self._device, tuple(values.shape), values.dtype)
-        copy.write(values)
-        return copy
+    def _sent(self, tensor: Tensor, dtype: torch.dtype) -> DeviceArray:
+        values = tensor.detach().to("cpu", dtype).contiguous()
+        over = values if self._device.shares_memory else None
+        array = DeviceArray(self._device, tuple(values.shape), dtype, over=over, zeroed=False)
+        if over is None:
+            array.write(values)
+        return array
 
-    def _make_room(self) -> None:
-        most = self._device.memory_bytes // SHARE
-        while (
-            len(self._copies) > 1
-            and sum(copy.array.nbytes for copy in self._copies.values()) > most
-        ):
+    def _make_room(self, wanted: int) -> None:
+        most = self._device.memory_bytes // SHARE - wanted
+        while self._copies and sum(copy.array.nbytes for copy in self._copies.values()) > most:
             self._copies.popitem(last=False)

@@ -57,6 +57,8 @@ class Adam:
     ) -> None:
         """Update the model's parameters from its gradients.
 
+        If opacities take part, their logits beyond +-30 become +-30 (`MAX_LOGIT`), also with a rate of 0.
+
         Args:
             learning_rates: one for each name in `PARAMETER_GROUPS`; with 0 the values stay, but the
                 moments are updated.

@@ -198,14 +198,6 @@ class Gradients:
         of_losses = self._of_losses.get((first, last))
         return values if of_losses is None else values + of_losses
 
-    def on_device(self, first: int, last: int) -> DeviceArray | None:
-        """The array whose rows `[first, last)` are all gradients; None if some wait on the host."""
-        if (first, last) in self._of_losses:
-            return None
-        rows = self.rows
-        self._store_zeros()
-        return rows
-
     def add(self, name: str, first: int, values: Tensor) -> None:
         """Add the gradient of a loss on a parameter.
 

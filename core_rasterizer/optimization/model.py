@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from ..device import Device, DeviceArray, open_device
+from ..device import Device, open_device
 from ..errors import GaussianError
 from ..gaussians import Gaussians
 from ..layout import PARAMETER_GROUPS, PARAMETERS, padded
@@ -287,13 +287,6 @@ class GaussianReader:
             GaussianError: unknown name, or the step has used the gradients.
         """
         return self._model.gradient(name).clone()
-
-    def _device_rows(self, name: str, *, gradient: bool) -> tuple[DeviceArray, int, int] | None:
-        """`GaussianModel.device_rows`, for `GaussianKernel`, which only reads; None with another engine."""
-        model = self._model
-        if not isinstance(model, GaussianModel):
-            return None
-        return model.device_rows(name, gradient=gradient)
 
     def parameter(self, name: str) -> Tensor:
         """One parameter in autograd, for losses on parameters; see `GaussianModel.parameter`."""

@@ -105,21 +105,6 @@ class GaussianStorage:
         """
         return self._unpack(self.gradients.total(*self.rows_of(name)), name)
 
-    def device_rows(self, name: str, *, gradient: bool) -> tuple[DeviceArray, int, int] | None:
-        """The array, and the rows `[first, last)` in it, of a parameter or its gradient.
-
-        Returns:
-            None if they are not complete on the device, or in double precision.
-
-        Raises:
-            GaussianError: as for `read` and `gradient`.
-        """
-        rows = self.rows_of(name)
-        if self.dtype != torch.float32:
-            return None
-        array = self.gradients.on_device(*rows) if gradient else self.parameters
-        return None if array is None else (array, *rows)
-
     def zero_gradients(self) -> None:
         """Reset the gradients at no cost: the next backward pass overwrites them."""
         self.gradients.zero()

@@ -26,12 +26,13 @@ class Frame:
         self._device = device
         self._coverage: weakref.ref[Coverage] | None = None
         self._images: weakref.ref[Images] | None = None
+        self._fetched: set[str] = set()
 
     def new_images(self, dtype: torch.dtype) -> Images:
         """Allocate the images of the request."""
         camera = self.request.camera
         images = Images(self._device, self.arrays, (camera.height, camera.width), dtype)
-        self._images = weakref.ref(images)
+        self._images, self._fetched = weakref.ref(images), images.fetched
         return images
 
     def coverage(self, count: int) -> Coverage:
@@ -46,8 +47,7 @@ class Frame:
             self.arrays.give_away("slot_count")
             self.reserved_for = None
         images = None if self._images is None else self._images()
-        if images is not None:
-            self.arrays.give_away(*images.names)
+        self.arrays.give_away(*(self._fetched if images is None else images.names))
         self._coverage = self._images = None
 
 

@@ -50,19 +50,20 @@ class Images:
 
     Args:
         device: where they are stored.
-        arrays: of the render's frame; reused by later renders where memory is not shared.
+        arrays: of the render's frame; reused by later renders.
         size: height and width.
         dtype: of the images.
 
     Attributes:
         names: of the frame's arrays that the images own while they are referenced.
+        fetched: those that tensors share; they may outlive the images.
     """
 
     def __init__(
         self, device: Device, arrays: Scratch, size: tuple[int, int], dtype: torch.dtype
     ) -> None:
         self.device, self.size, self.dtype = device, size, dtype
-        self.names: list[str] = []
+        self.names, self.fetched = list[str](), set[str]()
         self._kept: list[Kept] = []
         self._frame_arrays = arrays
         self._arrays = {name: self._room(name, name) for name in CHANNELS}
@@ -73,6 +74,8 @@ class Images:
 
     def read(self, name: str) -> Tensor:
         """Wait for the device; `[H, W, 3]` or `[H, W]` on the CPU."""
+        if self.device.shares_memory:
+            self.fetched.add(name)
         return self._read(self._arrays[name], name)
 
     def fits(self, count: int) -> bool:
@@ -171,13 +174,8 @@ class Images:
 
     def _room(self, name: str, image: str) -> DeviceArray:
         """An array in the shape of an image, as the frame's array `name`."""
-        arrays, elements = self._frame_arrays, math.prod(self._shape(image))
         self.names.append(name)
-        if not self.device.shares_memory:
-            return arrays.reserve(name, self.dtype, elements)
-        # Tensors that share this memory may outlive the frame, so it cannot be reused.
-        arrays[name] = DeviceArray.for_results(self.device, elements, self.dtype)
-        return arrays[name]
+        return self._frame_arrays.for_results(name, self.dtype, math.prod(self._shape(image)))
 
 
 def refuse_undefined(gradient: Tensor, name: str) -> None:

@@ -29,6 +29,7 @@ from ..pipeline.yaml_source import parse
 from ..training.assembly import restore
 from ..training.checkpoint import (
     CHECKPOINT,
+    EDITS,
     RECOVERIES,
     Checkpoint,
     explain_misfit,
@@ -123,6 +124,7 @@ def load_run(
         saved_iteration=checkpoint.iteration,
         photographs=complete,
         recoveries=list(checkpoint.notes.get(RECOVERIES, [])),
+        edits=list(checkpoint.notes.get(EDITS, [])),
     )
     _check_hash(folder, run.iteration, run.hash)
     return run

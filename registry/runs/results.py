@@ -118,6 +118,25 @@ class Recovery(Record):
     error: str
 
 
+class HandEdit(Record):
+    """Gaussians that a person removed from another run.
+
+    Args:
+        run, folder: identifier and name of the other run.
+        hash: of its Gaussians.
+        gaussians: their number.
+        removed: how many were removed.
+        by: the program.
+    """
+
+    run: str
+    folder: str
+    hash: str
+    gaussians: Count
+    removed: Count
+    by: str
+
+
 class Results(Record):
     """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has."""
 
@@ -139,6 +158,7 @@ class Results(Record):
     peak_memory_mb: Amount | None = None
     changed_inputs: list[Name] = []
     recoveries: list[Recovery] = []
+    edits: list[HandEdit] = []
     test: ScoresByMetric = {}
     train: ScoresByMetric = {}
     views: ViewScores = ViewScores()
@@ -173,6 +193,8 @@ def describe(run: TrainedScene) -> Results:
     )
     if run.recoveries:
         results.recoveries = [Recovery.model_validate(found) for found in run.recoveries]
+    if run.edits:
+        results.edits = [HandEdit.model_validate(found) for found in run.edits]
     return results
 
 

@@ -70,6 +70,7 @@ class Run(TrainedScene):
             "folder": str(Path.cwd()),
             "folder_from_run": os.path.relpath(Path.cwd().resolve(), path.resolve()),
             **circumstances(self.pipeline, self.engine_model.engine),
+            **({"edits": self.edits} if self.edits else {}),
             "resumed": [],
         }
 

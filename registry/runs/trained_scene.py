@@ -71,6 +71,7 @@ class TrainedScene:
         metrics: lines of metrics.jsonl; empty for a run read from a folder.
         interrupted: whether Ctrl-C or SIGTERM stopped the training.
         recoveries: see `results.Recovery`.
+        edits: see `results.HandEdit`.
     """
 
     pipeline: Pipeline
@@ -86,6 +87,7 @@ class TrainedScene:
     metrics: list[dict[str, Any]] = field(default_factory=list)
     interrupted: bool = False
     recoveries: list[dict[str, Any]] = field(default_factory=list)
+    edits: list[dict[str, Any]] = field(default_factory=list)
     _scores: tuple[int, dict[str, Scores]] | None = None
 
     @cached_property

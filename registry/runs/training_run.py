@@ -24,6 +24,7 @@ from ..toolkit.progress.stages import STAGES
 from ..training.assembly import assemble, restore
 from ..training.checkpoint import (
     CHECKPOINT,
+    EDITS,
     RECOVERIES,
     Checkpoint,
     explain_misfit,
@@ -309,7 +310,7 @@ def _checkpoint(run: Run, trainer: Trainer, metrics: MetricsLog) -> Checkpoint:
         state = trainer.state()
     for name, pair in metrics.sums.items():
         state[f"{SUMS}/{name}"] = torch.tensor(pair, dtype=torch.float64)
-    notes = {RECOVERIES: run.recoveries} if run.recoveries else {}
+    notes = {k: v for k, v in ((RECOVERIES, run.recoveries), (EDITS, run.edits)) if v}
     return Checkpoint(
         trainer.iteration, run.seconds.training, state, run.pipeline_text, run.identity, notes
     )

@@ -41,6 +41,8 @@ FRAME = "frame"
 """Name of the tensor `[4]` float64 with the centre and the unit of the frame of training."""
 RECOVERIES = "recoveries"
 """Name of the note with the recoveries of the run so far."""
+EDITS = "edits"
+"""Name of the note with the edits of the run by hand."""
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
 _NAME = re.compile(r"iteration-([0-9]{7,})(?:-([0-9]+))?")
 _log = logging.getLogger(__name__)

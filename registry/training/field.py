@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core_rasterizer import Edit, GaussianReader, Model, Rendering
+from core_rasterizer import Carried, Edit, GaussianReader, Model, Rendering
 from core_rasterizer.layout import PARAMETER_GROUPS
 
 from ..calls.blame import blame
@@ -285,14 +285,29 @@ class Field:
                 self.model.statistics.reset()
                 continue
             with blame(part.item, iteration):
-                carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
-            self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
-            self.parameters.carry(carried.source, carried.fresh)
-            self._follow_kinds()
+                carried = self._carry(edit)
             self._step = replace(self._step, kinds=MappingProxyType(self.kinds))
             self._step.carry_outputs(carried.source)
             self.parts.carry(carried.source, carried.fresh, count, iteration)
             self._edited = True
+
+    def prune(self, mask: Tensor, iteration: int) -> None:
+        """Remove the Gaussians of a mask `[N]` bool after an iteration, with all that belongs to them.
+
+        Raises:
+            GaussianError: none would remain.
+        """
+        count = self.model.count
+        carried = self._carry(Edit(prune=mask))
+        self.parts.carry(carried.source, carried.fresh, count, iteration)
+
+    def _carry(self, edit: Edit) -> Carried:
+        """Edit the Gaussians, and what the host keeps for each."""
+        carried = self.model.engine.edit(self.model, self.optimizer, edit, self._topology)
+        self.kinds = {name: mask[carried.source] for name, mask in self.kinds.items()}
+        self.parameters.carry(carried.source, carried.fresh)
+        self._follow_kinds()
+        return carried
 
     def step_optimizer(self) -> None:
         """Step Adam for the Gaussians and the components' parameters."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import combinations
 
 import torch
+from torch import Tensor
 
 from ..contract.scene import Scene, View
 from ..messages.suggestions import counted
@@ -21,6 +21,8 @@ EQUAL_DIGITS = 8
 """Camera centres that differ by less, relative to their coordinates, may differ by rounding only."""
 WIDE_ANGLE = 45.0
 """Degrees between two views; features are rarely matched beyond."""
+MOST = 3
+"""Warnings of one kind that are written out; the others are counted."""
 
 
 def summary(scene: Scene) -> str:
@@ -34,7 +36,13 @@ def summary(scene: Scene) -> str:
 
 def warnings(scene: Scene) -> list[str]:
     """Return a sentence for each property of the training views that is likely to spoil the result."""
-    return [*_about_points(scene), *_about_baselines(scene), *_about_angles(scene)]
+    kinds = _about_points(scene), _about_baselines(scene), _about_angles(scene)
+    return [text for kind in kinds for text in _shortened(list(kind))]
+
+
+def _shortened(texts: list[str]) -> list[str]:
+    more = len(texts) - MOST
+    return [*texts[:MOST], f"{more} more warnings like the last one"] if more > 1 else texts
 
 
 def points_in_view(scene: Scene, view: View) -> int:
@@ -66,18 +74,24 @@ def _about_baselines(scene: Scene) -> Iterator[str]:
             "rounding only, the photographs are from one position and contain no depth"
         )
         return
-    depth = typical_depth(scene)
-    for first, second in combinations(scene.train, 2):
-        baseline = float((first.camera.center - second.camera.center).norm())
-        if baseline < SMALL_BASELINE * depth:
-            yield (
-                f"the training views {first.name} and {second.name} were taken from nearly one place: "
-                f"{baseline / depth:.2%} of the scene's depth apart"
-            )
+    centers = _centers(scene.train)
+    pairs = torch.triu_indices(len(centers), len(centers), offset=1)
+    shares = (centers[pairs[0]] - centers[pairs[1]]).norm(dim=-1) / typical_depth(scene)
+    near = torch.nonzero(shares < SMALL_BASELINE)[:, 0]
+    for pair in near[shares[near].sort(stable=True).indices].tolist():
+        first, second = (scene.train[index].name for index in pairs[:, pair].tolist())
+        yield (
+            f"the training views {first} and {second} were taken from nearly one place: "
+            f"{float(shares[pair]):.2%} of the scene's depth apart"
+        )
+
+
+def _centers(views: Sequence[View]) -> Tensor:
+    return torch.stack([view.camera.center for view in views])
 
 
 def _differ_by_rounding(views: Sequence[View]) -> bool:
-    centers = torch.stack([view.camera.center for view in views])
+    centers = _centers(views)
     spread = (centers - centers[0]).abs().max()
     return bool(spread < 10.0**-EQUAL_DIGITS * centers.abs().max())
 

@@ -6,6 +6,7 @@ split because both splits have an r_0.
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from pathlib import Path
@@ -37,14 +38,16 @@ STANDARD_VIEWS = (2, 16, 26, 55, 73, 76, 86, 93)
 """The eight training views of sparse-view Gaussian splatting; DietNeRF's list has 75 for 76."""
 _FIX = "use the files of a NeRF synthetic scene: camera_angle_x, and frames with a 4x4 matrix each"
 _NO_TEST_FIX = f"{_FIX}; without test views set `test_every: 0`"
+_log = logging.getLogger("stereogs.photos")
 _JOIN = "join both files as transforms.json, which the loader nerfstudio reads"
 
 
 class BlenderSettings(Settings):
     path: Path
     """Path of the scene's folder with transforms_train.json and transforms_test.json."""
-    train_ids: tuple[int, ...] | None = STANDARD_VIEWS
-    """Numbers of the training photographs; null takes all of transforms_train.json."""
+    train_ids: tuple[int, ...] | Literal["standard"] | None = "standard"
+    """Numbers of the training photographs. `standard` takes r_2, r_16, r_26, r_55, r_73, r_76, r_86 and
+    r_93, or all if one of these does not exist; null takes all."""
     test_every: int = Field(8, ge=0)
     """Test views are the photographs of transforms_test.json with a number divisible by this; 0 gives no
     test views."""
@@ -82,8 +85,14 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         train = _read_split(folder, "train")
         every = settings.test_every
         test = _read_split(folder, "test", _NO_TEST_FIX) if every else {}
-        train_ids = list(train if settings.train_ids is None else settings.train_ids)
+        train_ids = self._train_ids(train)
         test_ids = [number for number in test if every and number % every == 0]
+        if test and not test_ids:
+            _log.warning(
+                "no number in transforms_test.json is divisible by %d, so there is no test view; "
+                "`test_every: 1` tests all",
+                every,
+            )
         missing = [number for number in train_ids if number not in train]
         if missing:
             raise SceneError(
@@ -113,6 +122,16 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         near, far = object_bounds(loaded.training_cameras, str(folder))
         bounds = (settings.near or near, settings.far or far)
         return loaded.scene("blender", folder, bounds, None, facts)
+
+    def _train_ids(self, train: dict[int, PosedPhoto]) -> list[int]:
+        chosen = self.settings.train_ids
+        if chosen == "standard":
+            published = all(k in train and train[k].path.stem == f"r_{k}" for k in STANDARD_VIEWS)
+            if published:
+                return [*STANDARD_VIEWS]
+            _log.info("not a scene of NeRF's data set: all %d photographs train", len(train))
+            return [*train]
+        return [*(train if chosen is None else chosen)]
 
 
 class _Frame(pydantic.BaseModel, extra="allow"):

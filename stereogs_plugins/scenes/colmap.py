@@ -26,7 +26,7 @@ from registry.toolkit.photos import (
     view_names,
 )
 
-_FIX = "set `path` to a folder with images and a complete COLMAP model (see `model`)"
+_FIX = "write the model again, with its three files, or set `path` and `model` to a complete one"
 _MISSING_FIX = "restore them, or set `images` to the folder in which the model's names begin"
 _log = logging.getLogger("stereogs.photos")
 
@@ -36,7 +36,7 @@ class ColmapSettings(SplitSettings, ImageSourceSettings):
     """Path of the scene's folder with the photographs and the model."""
     model: str | None = None
     """Folder of the model within the scene's: cameras, images and points3D as .bin or .txt. null finds it in
-    sparse, colmap/sparse, dense/sparse or the folder itself; of several, the one with most images."""
+    sparse, colmap/sparse, dense/sparse, the folder itself or others; of several, the one with most images."""
     downsample: int = Field(1, ge=1)
     """Factor by which each side of the full-size photographs is reduced for training."""
     max_size: int | None = Field(1600, ge=16)
@@ -61,10 +61,9 @@ class ColmapScene(SceneLoader[ColmapSettings]):
     @classmethod
     def recognizes(cls, folder: Path) -> bool:
         """Return True if the folder contains a COLMAP model that is not one of nerfstudio's files."""
-        models = colmap_models(folder)
-        if (folder / "transforms.json").is_file():
-            models = [model for model in models if not model.is_relative_to(folder / "colmap")]
-        return bool(models)
+        others = (folder / "transforms.json").is_file()
+        models = colmap_models(folder, anywhere=not others)
+        return any(not (others and model.is_relative_to(folder / "colmap")) for model in models)
 
     def load(self) -> Scene:
         """Return the scene.

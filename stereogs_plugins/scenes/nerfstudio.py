@@ -42,6 +42,7 @@ from registry.toolkit.photos import (
 _FIX = "write transforms.json as nerfstudio's ns-process-data does"
 _FISHEYE, _PANORAMA = "OPENCV_FISHEYE", "EQUIRECTANGULAR"
 _CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", _FISHEYE)
+_COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _log = logging.getLogger("stereogs.photos")
 
 
@@ -161,6 +162,15 @@ class _LensFields(pydantic.BaseModel):
     k4: Finite | None = None
     p1: Finite | None = None
     p2: Finite | None = None
+    distortion_params: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = None
+    """k1 k2 k3 k4 p1 p2, instead of the fields of these names."""
+
+    def value(self, name: str) -> float | None:
+        """Return a number by name; None if the file has none."""
+        if self.distortion_params is not None and name in _COEFFICIENTS:
+            return self.distortion_params[_COEFFICIENTS.index(name)]
+        found: float | None = getattr(self, name)
+        return found
 
 
 class _Frame(_LensFields):
@@ -194,9 +204,8 @@ def _lens_of(frame: _Frame, transforms: _Transforms, photo: Path, where: str) ->
     """
 
     def given(name: str) -> float | None:
-        value = getattr(frame, name)
-        found: float | None = getattr(transforms, name) if value is None else value
-        return found
+        value = frame.value(name)
+        return transforms.value(name) if value is None else value
 
     def focal(name: str, angle: str, side: float) -> float | None:
         value, field_of_view = given(name), given(angle)

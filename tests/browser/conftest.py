@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,6 +73,14 @@ def opened(
     assert page.evaluate(broken) == 0
     assert wrong == []
     page.close()
+
+
+def until(page: Page, reached: Callable[[], bool]) -> None:
+    """Wait for something that the page does in its own time."""
+    end = time.monotonic() + MAX_SECONDS
+    while not reached():
+        assert time.monotonic() < end, "it did not happen"
+        page.wait_for_timeout(50)
 
 
 def keep(page: Page, name: str) -> None:

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import math
-import time
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,12 +15,10 @@ import pytest
 from PIL import Image
 
 import stereogs
-from tests.browser.conftest import MAX_SECONDS, WIDTHS, keep, opened, overflow
+from tests.browser.conftest import WIDTHS, keep, opened, overflow, until
 from tests.host import main
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
     from playwright.sync_api import Browser, Page
 
@@ -296,14 +293,6 @@ def wait_for_scene(page: Page, size: tuple[int, int] | None = None) -> None:
     view.wait_for()
     assert view.get_attribute("data-state") == "shown", view.inner_text()
     page.wait_for_timeout(3000)  # the first sorted picture
-
-
-def until(page: Page, reached: Callable[[], bool]) -> None:
-    """Wait for something that the page does in its own time."""
-    end = time.monotonic() + MAX_SECONDS
-    while not reached():
-        assert time.monotonic() < end, "it did not happen"
-        page.wait_for_timeout(50)
 
 
 def drag(page: Page, dx: int, dy: int) -> None:

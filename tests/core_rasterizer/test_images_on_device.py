@@ -131,6 +131,24 @@ def test_images_survive_the_renders_that_follow(model: GaussianModel) -> None:
         assert not torch.equal(rendering.alpha, later)
 
 
+def test_a_render_uses_the_memory_of_one_whose_images_nobody_has_read(device: Device) -> None:
+    model = GaussianModel(parameters(60), device)
+
+    def rendered(*, read: bool) -> tuple[int, torch.Tensor | None]:
+        rendering = model.render(view())
+        outputs = rendering.device_outputs
+        assert outputs is not None
+        return outputs.images["rgb"].buffer.int_ptr, rendering.rgb if read else None
+
+    first, _ = rendered(read=False)
+    second, image = rendered(read=True)
+    assert second == first
+    assert image is not None
+    third, _ = rendered(read=False)
+    assert third != second  # the tensor outlives its rendering
+    assert torch.equal(image, model.render(view()).rgb)
+
+
 def test_a_modified_image_raises_in_backward(device: Device) -> None:
     model = GaussianModel(parameters(60), device)
     rendering = model.render(view())

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
 
-from core_rasterizer import Adam, Device, ExplainedError, GaussianModel
+from core_rasterizer import (
+    Adam,
+    Camera,
+    Device,
+    ExplainedError,
+    GaussianError,
+    GaussianModel,
+    Gaussians,
+)
 from core_rasterizer.layout import PARAMETER_GROUPS
 from tests.core_rasterizer.scenes import random_gaussians
 
@@ -76,6 +86,64 @@ def test_moments_without_gradient_end_at_zero(device: Device) -> None:
     for _ in range(1000):
         optimizer.step(RATES, active_sh_degree=3)
     assert not optimizer.first_moments.read().any()
+
+
+@pytest.mark.parametrize("stored", [True, False], ids=["adam", "backward and adam"])
+@pytest.mark.parametrize("rate", [0.0, 0.05])
+def test_opacity_logits_return_to_where_they_have_a_gradient(
+    device: Device, stored: bool, rate: float
+) -> None:
+    """Beyond 30 they become 30; others keep the bits of their step."""
+    logits = torch.tensor([100.0, 31.0, 30.0, 29.0, 0.5, -29.0, -30.0, -31.0, -1e30])
+    gaussians = replace(random_gaussians(len(logits), 0, 3), opacity_logits=logits)
+    kept = (logits.abs() <= 29).nonzero()[:, 0]
+    others = Gaussians(**{name: values[kept] for name, values in vars(gaussians).items()})
+    camera, rates = Camera.centered(torch.eye(4), 50.0, 40, 30), {**RATES, "opacity_logits": rate}
+
+    def stepped(gaussians: Gaussians, mask: Tensor | None = None) -> Tensor:
+        model = GaussianModel(gaussians, device)
+        scale = None if mask is None else mask.float()
+        (1e3 * model.render(camera, opacity_scale=scale).rgb.sum()).backward()
+        Adam(model).step(rates, 0, keep_gradients=stored)
+        return model.read("opacity_logits")
+
+    after = stepped(gaussians, (logits.abs() <= 29))
+    assert after[kept].equal(stepped(others))
+    assert after[[0, 1, 7, 8]].tolist() == [30.0, 30.0, -30.0, -30.0]
+    assert after.abs().max() == 30
+
+
+def test_an_opaque_gaussian_becomes_transparent_again(device: Device) -> None:
+    """At 100 the gradient is too small for Adam, so that it would stay opaque forever."""
+    gaussians = replace(
+        Gaussians.from_points(
+            torch.tensor([[0.0, 0.0, 3.0]]),
+            torch.ones(1, 3),
+            torch.ones(1) * 0.1,
+            torch.ones(1) / 2,
+            0,
+        ),
+        opacity_logits=torch.tensor([100.0]),
+    )
+    model = GaussianModel(gaussians, device)
+    optimizer, camera = Adam(model), Camera.centered(torch.eye(4), 50.0, 40, 30)
+    still = dict.fromkeys(RATES, 0.0)
+    for _ in range(70):
+        model.zero_gradients()
+        (1e3 * model.render(camera).rgb.sum()).backward()
+        optimizer.step({**still, "opacity_logits": 0.5}, 0)
+    assert float(model.opacities()) < 0.5
+
+
+def test_an_infinite_opacity_logit_is_an_error(device: Device) -> None:
+    model = make_model(device, torch.float32)
+    rows = model.parameters.read().clone()
+    rows[PARAMETER_GROUPS["opacity_logits"][0], 5] = torch.inf
+    model.parameters.write(rows)
+    optimizer = Adam(model)
+    optimizer.step(RATES, active_sh_degree=3)
+    with pytest.raises(GaussianError, match="not finite"):
+        optimizer.check_parameters()
 
 
 def test_bands_above_the_active_degree_stay(device: Device) -> None:

@@ -42,6 +42,8 @@ __kernel void adam(
         parameters, gradients, first_moments, second_moments, first + begin, first + end, rate,
         correction);
 #endif
+    if (row == ROW_OPACITY)
+        limit_logits(parameters, first + begin, first + end);
     if (found)
         *undefined = 1;
 }

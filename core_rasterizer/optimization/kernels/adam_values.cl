@@ -38,6 +38,16 @@
 #endif
 #define BLOCK (LANES == 1 ? 1 : 16)
 
+/* Bring finite logits back to where the sigmoid has a slope; an infinite one stays, as an error. */
+static inline void limit_logits(__global real *logits, size_t begin, size_t end)
+{
+    for (size_t at = begin; at < end; at++) {
+        const real x = logits[at], limit = x > 0 ? MAX_LOGIT : -MAX_LOGIT;
+        const int beyond = (fabs(x) > MAX_LOGIT) & (fabs(x) < INFINITY);
+        logits[at] = beyond ? limit : x;
+    }
+}
+
 /* Scalar code that the compiler vectorizes, including the square root, thanks to `restrict`. Returns
  * whether a parameter is not finite afterwards. */
 static inline int step_values(

@@ -69,6 +69,8 @@ __kernel __attribute__((reqd_work_group_size(PROJECT_GROUP, 1, 1))) void project
         found |= step_values(
             parameters + at, gradients + row * PROJECT_SPAN, first_moments + at,
             second_moments + at, 0, size, rates[group], corrections[group]);
+        if (row == ROW_OPACITY)
+            limit_logits(parameters + at, 0, size);
     }
     if (found)
         *undefined = 1;

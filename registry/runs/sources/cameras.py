@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
 from torch import Tensor
@@ -45,25 +45,22 @@ class CamerasRecord(Record):
     test: list[ViewRecord]
 
 
-class _Absent:
+class _Absent(Tensor):
     """Stands for an image that was not loaded; whatever uses it raises the error of the loading."""
 
-    def __init__(self, error: ExplainedError) -> None:
-        vars(self)["_error"] = error
-
-    def _refuse(self, *_: object, **__: object) -> NoReturn:
-        raise vars(self)["_error"]
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        self._refuse()
+    error: ExplainedError
 
     @classmethod
-    def __torch_function__(cls, function: Any, types: Any, given: Any, _: Any = None) -> NoReturn:
-        raise vars(next(leaves(given, cls)))["_error"]
+    def because(cls, error: ExplainedError) -> _Absent:
+        absent = torch.empty(0).as_subclass(cls)
+        absent.error = error
+        return absent
 
-    __array__ = __getitem__ = __len__ = __iter__ = _refuse
+    @classmethod
+    def __torch_function__(
+        cls, function: Any, types: Any, given: Any = (), options: Any = None
+    ) -> NoReturn:
+        raise next(leaves([given, options], cls)).error
 
 
 def cameras_of(scene: Scene) -> CamerasRecord:
@@ -82,7 +79,7 @@ def scene_of(content: Mapping[str, Any], error: ExplainedError) -> Scene:
     record = CamerasRecord.model_validate(content)
     near, far = record.bounds
     red, green, blue = record.background
-    train, test = (_views(views, _Absent(error)) for views in (record.train, record.test))
+    train, test = (_views(views, _Absent.because(error)) for views in (record.train, record.test))
     return Scene(record.name, train, test, (near, far), background=(red, green, blue))
 
 
@@ -101,8 +98,7 @@ def _record(view: View) -> ViewRecord:
     )
 
 
-def _views(records: Sequence[ViewRecord], absent: _Absent) -> tuple[View, ...]:
-    image = cast(Tensor, absent)
+def _views(records: Sequence[ViewRecord], image: Tensor) -> tuple[View, ...]:
     return tuple(
         View(
             record.name,

@@ -18,6 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from .lens import Distortion
+from .reading import decoded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,9 +48,18 @@ CAMERA_MODELS = {
     "SIMPLE_RADIAL_FISHEYE": CameraModel(4, 1, "OPENCV_FISHEYE"),
     "RADIAL_FISHEYE": CameraModel(5, 1, "OPENCV_FISHEYE"),
     "THIN_PRISM_FISHEYE": CameraModel(12, 2, "THIN_PRISM_FISHEYE"),
+    "SIMPLE_FISHEYE": CameraModel(3, 1, "OPENCV_FISHEYE"),
+    "FISHEYE": CameraModel(4, 2, "OPENCV_FISHEYE"),
 }
-"""The supported camera models, in the order of COLMAP's model ids. The radial models are those with more
-coefficients, the others 0."""
+"""The supported camera models. The radial models are those with more coefficients, the others 0, and so are
+the fisheyes without coefficients."""
+_MODEL_NAMES = (
+    *list(CAMERA_MODELS)[:11],
+    *("RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION"),
+    *("SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
+)
+"""COLMAP's camera models, in the order of their ids (COLMAP 4.2)."""
+_PANORAMA = _MODEL_NAMES[-1]
 
 
 class ColmapCamera(NamedTuple):
@@ -95,6 +105,8 @@ _FILES = ("cameras.bin", "images.bin", "points3D.bin")
 
 _PLACES = ("sparse", "colmap/sparse", "dense/sparse", "dense/0/sparse", "")
 """Where programs write models, in a scene's folder."""
+_DEEPEST = 3
+"""Levels of folders below a scene's in which models are searched, if they are in no usual place."""
 
 
 def has_colmap_model(folder: Path) -> bool:
@@ -102,8 +114,17 @@ def has_colmap_model(folder: Path) -> bool:
     return any((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
-def colmap_models(scene: Path) -> list[Path]:
-    """Return the folders of the COLMAP models in a scene's folder, the usual place first."""
+def _is_model(folder: Path) -> bool:
+    """Return whether a folder holds a model, or what is left of a binary one."""
+    return has_colmap_model(folder) or (folder / "cameras.bin").is_file()
+
+
+def colmap_models(scene: Path, *, anywhere: bool = True) -> list[Path]:
+    """Return the folders of the COLMAP models in a scene's folder, complete or not, the usual place first.
+
+    Args:
+        anywhere: search other folders, three levels deep, if the usual places have none.
+    """
     numbered = [
         folder
         for place in _PLACES[:-1]
@@ -111,11 +132,21 @@ def colmap_models(scene: Path) -> list[Path]:
         if folder.is_dir()
     ]
     folders = [*numbered, *(scene / place for place in _PLACES)]
-    return [folder for folder in folders if has_colmap_model(folder)]
+    found = [folder for folder in folders if _is_model(folder)]
+    return found if found or not anywhere else [*_models_below(scene, _DEEPEST)]
+
+
+def _models_below(folder: Path, levels: int) -> Iterator[Path]:
+    children = sorted(folder.iterdir()) if levels and folder.is_dir() else []
+    for child in children:
+        if child.is_dir() and not (child.is_symlink() or child.name.startswith(".")):
+            if _is_model(child):
+                yield child
+            yield from _models_below(child, levels - 1)
 
 
 def count_images(folder: Path) -> int:
-    """Return the number of images of a model; 0 if it cannot be read."""
+    """Return the number of images of a model; 0 if they cannot be read."""
     with suppress(ValueError, OSError):
         binary = folder / "images.bin"
         if binary.is_file():
@@ -132,10 +163,11 @@ def read_colmap_files(
     Raises:
         ValueError: The layout is wrong, or a camera model is not supported.
     """
-    if (folder / "images.bin").is_file():
-        suffix, parsers = ".bin", (_binary_cameras, _binary_images, _binary_points)
-    else:
+    binary, text = ((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt"))
+    if text and not binary:
         suffix, parsers = ".txt", (_text_cameras, _text_images, _text_points)
+    else:
+        suffix, parsers = ".bin", (_binary_cameras, _binary_images, _binary_points)
     cameras, images, points = ((folder / name).with_suffix(suffix) for name in _FILES)
     return (
         _by_id(parsers[0](cameras)),
@@ -156,8 +188,7 @@ def _by_id(records: Iterator[tuple[int, Record]]) -> dict[int, Record]:
 def _binary_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
     for cursor in _records(path, smallest=24):
         identity, number, width, height = cursor.take("<2i2Q")
-        models = list(CAMERA_MODELS)
-        model = models[number] if 0 <= number < len(models) else str(number)
+        model = _MODEL_NAMES[number] if 0 <= number < len(_MODEL_NAMES) else str(number)
         parameters = cursor.take(f"<{_parameter_count(model)}d")
         yield identity, ColmapCamera(model, width, height, parameters)
 
@@ -235,7 +266,7 @@ def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
         identity, x, y, z, red, green, blue, _error, *track = _fields(line, at_least=8)
         if len(track) % 2:
             raise ValueError("a track ends in the middle of an observation")
-        color = (int(red), int(green), int(blue))
+        color = (_whole(red), _whole(green), _whole(blue))
         if not all(0 <= channel <= 255 for channel in color):
             raise ValueError(f"the color {color} is not within 0..255")
         image_ids = [int(image) for image in track[::2]]
@@ -243,7 +274,7 @@ def _text_points(path: Path) -> Iterator[tuple[int, ColmapPoint]]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    for line in path.read_bytes().decode("utf-8-sig").split("\n"):
+    for line in decoded(path.read_bytes()).split("\n"):
         if not line.strip().startswith("#"):
             yield line.strip()
 
@@ -257,18 +288,20 @@ def _fields(line: str, at_least: int, at_most: int = 0) -> list[str]:
 
 
 def _whole(number: str) -> int:
-    """Return a size in pixels, which some programs write as 270.0."""
+    """Return a size or colour, which some programs write as 270.0."""
     value = float(number)
     if value != int(value):
-        raise ValueError(f"the size {number} is not a whole number")
+        raise ValueError(f"{number} is not a whole number")
     return int(value)
 
 
 def _parameter_count(model: str) -> int:
     if model not in CAMERA_MODELS:
+        remedy = "`colmap image_undistorter` writes a model that is"
+        if model == _PANORAMA:
+            remedy = "cut the panoramas into plane pictures before COLMAP"
         raise ValueError(
-            f"the camera model {model} is not one of {', '.join(CAMERA_MODELS)}; "
-            "`colmap image_undistorter` writes a model that is"
+            f"the camera model {model} is not one of {', '.join(CAMERA_MODELS)}; {remedy}"
         )
     return CAMERA_MODELS[model].parameters
 

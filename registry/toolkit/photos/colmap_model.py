@@ -163,6 +163,8 @@ def read_colmap_model(folder: Path, fix: str) -> ColmapModel:
         SceneError: A file is missing or damaged, a number is not finite, a quaternion does not have
             norm 1, or a record refers to a missing camera or image.
     """
+    if all((folder / f"images{suffix}").is_file() for suffix in (".bin", ".txt")):
+        _log.info("%s has binary and text files; the binary ones are used", folder)
     with decoding("the COLMAP model", folder, fix):
         cameras, images, points = read_colmap_files(folder)
     by_name = sorted(images.items(), key=lambda item: item[1].name)

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import zipfile
-from codecs import BOM_UTF8
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -88,7 +88,7 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
             fix=fix,
         )
     with decoding(path.name, path, fix):
-        content = path.read_bytes().removeprefix(BOM_UTF8)
+        content = decoded(path.read_bytes())
     try:
         read = model.model_validate_json(content, strict=True)
         json.loads(content, object_pairs_hook=_refuse_repeated)
@@ -100,9 +100,15 @@ def read_document(path: Path, model: type[Document], fix: str) -> Document:
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         what = f"the field {'.'.join(map(str, first['loc']))!r} cannot be used"
-        if first["type"] == "json_invalid":
+        if first["type"] == "json_invalid" or not first["loc"]:
             what = f"{path.name} cannot be read"
         raise SceneError(f"{what}: {first['msg']}", where=str(path), fix=fix) from error
+
+
+def decoded(content: bytes) -> str:
+    """Return the text of a file in UTF-8, or in the UTF-16 of Windows PowerShell, without the mark."""
+    marked = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    return content.decode("utf-16" if marked else "utf-8-sig")
 
 
 class _RepeatedName(Exception):
@@ -195,13 +201,30 @@ def existing_image(path: Path) -> Path | None:
 
 
 def _in_other_case(path: Path) -> Path | None:
-    """Return the only image whose name differs in case, and perhaps in suffix; None if there are several."""
-    if not path.parent.is_dir():
+    """Return the only image whose name differs in case, and perhaps in suffix; None if there are several.
+
+    Folders may differ in case, too.
+    """
+    folder = path.parent if path.parent.is_dir() else _folder_in_other_case(path.parent)
+    if folder is None:
         return None
-    files = _files_by_name(path.parent, path.parent.stat().st_mtime_ns)
+    files = _files_by_name(folder, folder.stat().st_mtime_ns)
     plain = Path(normalize("NFC", path.name).lower())
     names = [plain.name, *(plain.stem + suffix for suffix in IMAGE_SUFFIXES)]
     found = next((files[name] for name in names if name in files), ())
+    return found[0] if len(found) == 1 else None
+
+
+def _folder_in_other_case(path: Path) -> Path | None:
+    parent = path.parent if path.parent.is_dir() else None
+    if parent is None and path.parent != path:
+        parent = _folder_in_other_case(path.parent)
+    name = normalize("NFC", path.name).lower()
+    found = [
+        child
+        for child in (parent.iterdir() if parent else ())
+        if child.is_dir() and normalize("NFC", child.name).lower() == name
+    ]
     return found[0] if len(found) == 1 else None
 
 

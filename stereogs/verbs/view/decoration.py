@@ -29,6 +29,8 @@ _FRUSTUM = 0.08
 _BOX_COLOR = (240, 240, 240)
 _BOX_WIDTH = 0.004
 """Width of the crop box's lines, in units of its diagonal."""
+_CANVAS = 500.0
+"""Radius of the sphere that is painted on, in the browser's units."""
 MAX_ELLIPSOIDS = 10_000
 """A browser without a graphics card can still rotate so many."""
 
@@ -73,6 +75,19 @@ def add_box(server: Any, box: Box, unit: float) -> Any:
         points=corners[np.array(edges)].astype(np.float32),
         colors=_BOX_COLOR,
         thickness=_BOX_WIDTH * diagonal,
+    )
+
+
+def add_canvas(scene: Any) -> Any:
+    """Add an invisible sphere around everything, under every place of the picture; return viser's handle."""
+    return scene.add_icosphere(
+        "/canvas",
+        radius=_CANVAS,
+        subdivisions=1,
+        opacity=0.0,
+        side="back",
+        cast_shadow=False,
+        receive_shadow=False,
     )
 
 

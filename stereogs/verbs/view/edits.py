@@ -1,4 +1,4 @@
-"""Selected and deleted Gaussians, with undo, and the PLY file that they are saved to."""
+"""Selected and deleted Gaussians, with undo; what gestures select; and the files that edits are saved to."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ import torch
 from torch import Tensor
 
 from core_rasterizer import Camera, Gaussians, save_ply
-from registry import RunError
 
 if TYPE_CHECKING:
     from core_rasterizer import Rendering
 
 _MAX_UNDO = 100
 _MIN_ALPHA = 0.05
-"""Least alpha of a pixel that can be clicked."""
+"""Least alpha of a pixel with a surface."""
+_SKIN = 0.02
+"""Depth below the surface to which the brush reaches, as a share of the surface's depth."""
 
 Corner = tuple[float, float]
 """A position in the image: 0 to 1 from left to right and from top to bottom."""
@@ -34,11 +35,13 @@ class Source:
         path: the PLY file; edited ones are written next to it.
         gaussians: returns the Gaussians in the file's coordinates, in the order of the viewer's.
         attributes: further numbers of each Gaussian, `[N]` by name.
+        save_run: writes the Gaussians of a mask as a new run, and returns its folder; None without a run.
     """
 
     path: Path
     gaussians: Callable[[], Gaussians]
     attributes: Mapping[str, Tensor]
+    save_run: Callable[[Tensor], Path] | None = None
 
     def save(self, kept: Tensor) -> Path:
         """Write Gaussians to a new file and return its path.
@@ -47,21 +50,21 @@ class Source:
             kept: mask `[N]` bool.
 
         Raises:
-            RunError: none is kept.
             PlyError: the file cannot be written.
         """
-        if not kept.any():
-            raise RunError("all Gaussians are deleted", fix="press Undo")
         whole = self.gaussians()
         part = Gaussians(**{name: values[kept] for name, values in vars(whole).items()})
-        path = next(path for path in map(self._numbered, count(1)) if not path.exists())
+        path = unused(self.path.with_suffix(""), ".ply")
         path.parent.mkdir(parents=True, exist_ok=True)
         save_ply(part, path, {name: values[kept] for name, values in self.attributes.items()})
         return path
 
-    def _numbered(self, number: int) -> Path:
-        suffix = "" if number == 1 else f"-{number}"
-        return self.path.with_name(f"{self.path.stem}-edited{suffix}.ply")
+
+def unused(path: Path, suffix: str) -> Path:
+    """Return a path that does not exist: that of what is edited, with `-edited`, `-edited-2`, ..."""
+    numbers = ("" if number == 1 else f"-{number}" for number in count(1))
+    places = (path.with_name(f"{path.name}-edited{number}{suffix}") for number in numbers)
+    return next(place for place in places if not place.exists())
 
 
 class Edits:
@@ -82,9 +85,14 @@ class Edits:
         self.deleted = torch.zeros(number, dtype=torch.bool)
         self._before: deque[tuple[Tensor, Tensor]] = deque(maxlen=_MAX_UNDO)
 
-    def select(self, mask: Tensor, *, add: bool) -> None:
-        """Add Gaussians to the selection, or remove them from it."""
-        self._change(self.selected | mask if add else self.selected & ~mask, self.deleted)
+    def select(self, mask: Tensor, *, add: bool, joins: bool = False) -> bool:
+        """Add Gaussians to the selection, or remove them from it; return whether that changed it.
+
+        Args:
+            joins: whether undo takes back this change and the one before it together.
+        """
+        selected = self.selected | mask if add else self.selected & ~mask
+        return self._change(selected, self.deleted, joins)
 
     def invert(self, shown: Tensor) -> None:
         """Select the Gaussians of `shown`, a mask `[N]` bool, that are not selected, and no other."""
@@ -100,12 +108,15 @@ class Edits:
             self.selected, self.deleted = self._before.pop()
             self.revision += 1
 
-    def _change(self, selected: Tensor, deleted: Tensor) -> None:
+    def _change(self, selected: Tensor, deleted: Tensor, joins: bool = False) -> bool:
         selected = selected & ~deleted
-        if not (selected.equal(self.selected) and deleted.equal(self.deleted)):
+        if selected.equal(self.selected) and deleted.equal(self.deleted):
+            return False
+        if not joins:
             self._before.append((self.selected, self.deleted))
-            self.selected, self.deleted = selected, deleted
-            self.revision += 1
+        self.selected, self.deleted = selected, deleted
+        self.revision += 1
+        return True
 
 
 def in_rectangle(means: Tensor, camera: Camera, low: Corner, high: Corner) -> Tensor:
@@ -113,6 +124,53 @@ def in_rectangle(means: Tensor, camera: Camera, low: Corner, high: Corner) -> Te
     u, v, z = camera.project(means)
     x, y = u / camera.width, v / camera.height
     return (z > 0) & (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+
+
+class Stroke:
+    """A stroke of the brush over a picture; it touches means that the surface in the picture does not hide.
+
+    Args:
+        means: `[N, 3]`, world units.
+        shown: mask `[N]` bool of the Gaussians in the picture.
+        rendering: the picture, of `camera`.
+        place: where the stroke begins.
+
+    Attributes:
+        changed: whether the stroke has changed the selection; for its owner.
+    """
+
+    def __init__(
+        self, means: Tensor, shown: Tensor, camera: Camera, rendering: Rendering, place: Corner
+    ) -> None:
+        u, v, z = camera.project(means)
+        self._seen = shown & camera.contains(u, v, z)
+        row, column = v[self._seen].long(), u[self._seen].long()
+        alpha = rendering.alpha.detach()[row, column]
+        depth = rendering.depth.detach()[row, column] / alpha.clamp(min=_MIN_ALPHA)
+        hidden = (alpha >= _MIN_ALPHA) & (z[self._seen] > (1 + _SKIN) * depth)
+        self._seen[self._seen.clone()] = ~hidden
+        self._places = torch.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], 1)
+        self._camera, self.changed = camera, False
+        self._at = self._tangents(place)
+
+    def to(self, place: Corner, radius: float) -> Tensor:
+        """Move the brush to a place, and return a mask `[N]` bool of the means that it touches on the way.
+
+        Args:
+            radius: of the brush, as a share of the distance from the camera.
+        """
+        start, self._at = self._at, self._tangents(place)
+        way = self._at - start
+        share = ((self._places - start) @ way / (way @ way).clamp(min=1e-30)).clamp(0, 1)
+        nearest = start + share[:, None] * way
+        touched: Tensor = self._seen & ((self._places - nearest).norm(dim=1) <= radius)
+        return touched
+
+    def _tangents(self, place: Corner) -> Tensor:
+        """Return x / z and y / z of the points at a place in the image, `[2]` float64."""
+        c = self._camera
+        x, y = (place[0] * c.width - c.cx) / c.fx, (place[1] * c.height - c.cy) / c.fy
+        return torch.tensor([x, y], dtype=torch.float64)
 
 
 def in_ball(means: Tensor, center: Tensor, radius: float) -> Tensor:

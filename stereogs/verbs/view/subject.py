@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +26,7 @@ from registry.toolkit.drawing.camera_path import Vector
 from registry.toolkit.photos import Finite, read_document
 from registry.training.initial_model import new_model
 
+from .edited_run import save_edited
 from .edits import Source
 from .reach import Reach
 
@@ -87,7 +88,8 @@ def of_run(run: Run) -> Subject:
     subject, source = _of(run, run.engine_model, run.kinds), None
     if run.folder is not None:
         path, exported = run.folder.path / EXPORTS / "scene.ply", run.exported
-        source = Source(path, exported.gaussians, exported.attributes)
+        save_run = partial(save_edited, run)
+        source = Source(path, exported.gaussians, exported.attributes, save_run)
     return replace(subject, confidence=confidence if run.photographs else None, source=source)
 
 

@@ -25,6 +25,11 @@ def lead(results: Mapping[str, Any], scene: Scene) -> str:
             f" In iteration {found['iteration']} a parameter was not finite; training went back to "
             f"iteration {found['back_to']} with learning rates times {found['rates']:g}."
         )
+    for edit in results.get("edits", ()):
+        text += (
+            f" {edit['removed']:,} of {edit['gaussians']:,} Gaussians of the run {edit['folder']} were "
+            f"removed by hand ({edit['by']}); scores are of those that remain."
+        )
     return text
 
 

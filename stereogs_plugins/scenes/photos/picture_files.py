@@ -24,7 +24,11 @@ _COMPANION_SUFFIXES = (".aae", ".xmp", ".thm", ".ctg", ".lrv", *_VIDEOS)
 _COMPANION_FOLDERS = ("__macosx", "@eadir")
 _RUN_FILES = {"pipeline.yaml", "provenance.json"}
 """Files of a folder that a training run wrote; its pictures are renders."""
-_DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".db", ".mat", ".h5", ".exr", ".pfm")
+_DATABASES = (".db", ".h5")
+"""Suffixes of features and matches of COLMAP and hloc, which are found anew."""
+_CAMERAS = (".xml", ".out", ".nvm", ".sfm", ".psx", ".rcproj", ".rsproj", ".mg")
+"""Suffixes of cameras and projects of Metashape, Bundler, VisualSfM, RealityScan and Meshroom."""
+_DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".mat", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
 COMPANION = "a companion file of pictures"
@@ -132,7 +136,7 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[Path], list[LeftOu
     left_out = [LeftOut(path, COMPANION) for path in content.companions]
     left_out += [LeftOut(path, "the folder of a training run") for path in content.runs]
     left_out += [LeftOut(path, "drawn by `stereogs check`") for path in drawn]
-    left_out += [LeftOut(path, "not a picture") for path in content.others]
+    left_out += [LeftOut(path, _what(path)) for path in content.others]
     for path in content.unreadable:
         if path.with_suffix("") in without_suffix:
             left_out.append(LeftOut(path, "the folder has the same picture in a supported format"))
@@ -146,6 +150,14 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[Path], list[LeftOu
         left_out += [LeftOut(path, reason) for path in heif]
         content.pictures[:] = [path for path in content.pictures if path not in heif]
     return content.pictures, masks, left_out
+
+
+def _what(path: Path) -> str:
+    """What a file that is not a picture is."""
+    suffix = path.suffix.lower()
+    if suffix in _CAMERAS:
+        return "cameras of another program; export them for COLMAP to use them"
+    return "a database of matches; they are found anew" if suffix in _DATABASES else "not a picture"
 
 
 def _drawn(path: Path) -> bool:

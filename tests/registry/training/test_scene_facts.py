@@ -68,12 +68,24 @@ def test_points_outside_and_behind_are_not_counted() -> None:
             scene_of(camera(0.0), camera(0.01), camera(1.0), points=wall(200, depth=8.0)),
             ["v0 and v1 were taken from nearly one place: 0.12%"],
         ),
+        (
+            scene_of(*(camera(0.001 * k * k) for k in range(5)), points=wall(200)),
+            ["v0 and v1 were", "v1 and v2 were", "v0 and v2 were", "7 more warnings like"],
+        ),
         (scene_of(camera(3.0), camera(3.0 + 1e-9, 5)), ["equal to 8 digits"]),
         (scene_of(camera(5e6), camera(5e6 + 0.4, 5)), []),
         (scene_of(camera(), points=wall(200)), ["a single training view"]),
     ],
     ids=[
-        *("no points", "few points", "wide apart", "one place", "rounding", "survey coordinates"),
+        *(
+            "no points",
+            "few points",
+            "wide apart",
+            "one place",
+            "many",
+            "rounding",
+            "survey coordinates",
+        ),
         "one view",
     ],
 )

@@ -26,7 +26,7 @@ def test_leaves_out_its_share_and_keeps_the_mean(ramp: bool, share: float) -> No
 
 
 def test_draws_anew_each_time_and_nothing_at_rate_zero() -> None:
-    step = step_with(some_gaussians([0.01] * 100, [0.5] * 100))
+    step = step_with(some_gaussians([0.01] * 101, [0.5] * 101))
     dropout = build(Dropout)
     assert not torch.equal(dropout.opacity_scale(step), dropout.opacity_scale(step))
     assert (build(Dropout, rate=0.0).opacity_scale(step) == 1).all()

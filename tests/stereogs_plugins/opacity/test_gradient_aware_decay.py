@@ -79,7 +79,7 @@ def test_the_activated_gradient_is_that_of_the_opacity_itself() -> None:
 def test_the_functions_that_the_paper_compares(function: str, factors: list[float]) -> None:
     decay = build(GradientAwareDecay, function=function, base=0.9)
     relative = torch.tensor([0.0, 1.0, 4.0])
-    torch.testing.assert_close(decay.factor(relative / 10, relative), torch.tensor(factors))
+    torch.testing.assert_close(1 - decay.decay(relative / 10, relative), torch.tensor(factors))
 
 
 def test_contributing_spares_what_this_view_does_not_show() -> None:
@@ -111,7 +111,7 @@ def test_decay_curves(function: str, slopes: list[float]) -> None:
     relative = torch.tensor([0.0, 1.0, 2.0], dtype=torch.float64)
     opacities = torch.full_like(relative, 0.8)
     for _ in range(100):
-        opacities = decay.factor(relative / 10, relative) * opacities
+        opacities = (1 - decay.decay(relative / 10, relative)) * opacities
     expected = torch.tensor([0.8 * slope**100 for slope in slopes], dtype=torch.float64)
     torch.testing.assert_close(opacities, expected, rtol=1e-12, atol=0)
 

@@ -218,6 +218,14 @@ def test_a_return_to_a_checkpoint_is_told(run: RunFolder) -> None:
     assert "training went back to iteration 64 with learning rates times 0.5" in page.text
 
 
+def test_an_edit_by_hand_is_told(run: RunFolder) -> None:
+    found = {"folder": "fern", "gaussians": 5000, "removed": 1200, "by": "stereogs view"}
+    edit = {**found, "run": "", "hash": "0" * 64}
+    write_json(run.path / "results.json", {**RESULTS, "edits": [edit]})
+    page = Page(written(run))
+    assert "1,200 of 5,000 Gaussians of the run fern were removed by hand" in page.text
+
+
 def test_scores_of_every_view_and_why_one_is_missing(run: RunFolder) -> None:
     page = written(run)
     table = page[page.index("<summary>scores of each photograph") :]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +13,11 @@ import torch
 from PIL import Image
 
 from registry import Scene, SceneError
-from stereogs_plugins.scenes.blender import BlenderScene, stereogs_register_scenes
+from stereogs_plugins.scenes.blender import (
+    STANDARD_VIEWS,
+    BlenderScene,
+    stereogs_register_scenes,
+)
 from tests.data import data_folder
 from tests.stereogs_plugins.building import build, offered
 from tests.stereogs_plugins.scenes.small_scenes import World, write_blender
@@ -119,6 +124,35 @@ def test_bad_input_is_an_error(
 def test_missing_numbers(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"\[77, 78\] are missing"):
         load(write_blender(tmp_path, World()), train_ids=(1, 77, 78))
+
+
+@pytest.mark.parametrize(("name", "trained"), [("r_{}", 8), ("{:04}", 94), ("r_1{:02}", 94)])
+def test_the_standard_views_train_only_in_a_scene_of_nerf(
+    name: str, trained: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "stereogs.photos")
+    folder = write_blender(tmp_path, World(width=8, height=6, count=94))
+    frames = json.loads((folder / "transforms_train.json").read_text())["frames"]
+    for number, frame in enumerate(frames):
+        frame["file_path"] = f"train/{name.format(number)}"
+        (folder / "train" / f"r_{number}.png").rename(folder / f"{frame['file_path']}.png")
+    change_cameras(folder, frames=frames)
+    assert len(build(BlenderScene, path=folder).load().train) == trained
+    assert ("all 94 photographs train" in caplog.text) == (trained == 94)
+    if trained == 94 and name.startswith("r_"):
+        with pytest.raises(SceneError, match="are missing"):
+            load(folder, train_ids=STANDARD_VIEWS)  # as a protocol says
+
+
+def test_no_test_view_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write_blender(tmp_path, World())
+    assert load(folder, test_every=9).test
+    assert not caplog.text
+    content = json.loads((folder / "transforms_test.json").read_text())
+    content["frames"] = content["frames"][1:]
+    (folder / "transforms_test.json").write_text(json.dumps(content))
+    assert not load(folder, test_every=9).test
+    assert "`test_every: 1` tests all" in caplog.text
 
 
 def test_lego_is_the_published_scene() -> None:

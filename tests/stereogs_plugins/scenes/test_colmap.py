@@ -199,12 +199,15 @@ def cut(name: str) -> Callable[[Path], None]:
 
 NAN = float("nan")
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no model": (lambda f: (f / "sparse").rename(f / "dense"), "cannot be read"),
+    "no model": (lambda f: shutil.rmtree(f / "sparse"), "cannot be read"),
     "cut cameras": (cut("cameras.bin"), "in the middle of a record"),
     "cut images": (cut("images.bin"), "cannot be read"),
     "cut points": (cut("points3D.bin"), "too short for"),
     "many cameras": (patch("cameras.bin", 0, "<Q", 2**60), "too short for"),
-    "unknown model": (patch("cameras.bin", 12, "<i", 15), "colmap image_undistorter"),
+    "unknown model": (patch("cameras.bin", 12, "<i", 16), "EUCM is not one of"),
+    "model of the future": (patch("cameras.bin", 12, "<i", 99), "colmap image_undistorter"),
+    "panorama": (patch("cameras.bin", 12, "<i", 17), "cut the panoramas"),
+    "no images": (lambda f: (f / "sparse" / "0" / "images.bin").unlink(), "images.bin"),
     "zero width": (patch("cameras.bin", 16, "<Q", 0), "image width is 0"),
     "other shape": (patch("cameras.bin", 16, "<Q", 200), "another shape"),
     "negative focal": (patch("cameras.bin", 32, "<d", -5.0), "focal length fx is -5"),
@@ -237,8 +240,17 @@ def test_bad_input_is_an_error(
     assert caught.value.where
 
 
-@pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0", "dense/0/sparse", "."])
-def test_the_model_is_found_where_programs_write_it(place: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("place", "usual"),
+    [
+        *((place, True) for place in ("sparse", "dense/0/sparse", ".")),
+        # nerfstudio, instant-ngp, 3DGS before undistortion, hloc
+        *((p, False) for p in ("colmap/sparse/0", "colmap_text", "distorted/sparse/0", "out/sfm")),
+    ],
+)
+def test_the_model_is_found_where_programs_write_it(
+    place: str, usual: bool, tmp_path: Path
+) -> None:
     folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
     (folder / "sparse").rename(folder / "elsewhere")
     (folder / place).mkdir(parents=True, exist_ok=True)
@@ -248,7 +260,7 @@ def test_the_model_is_found_where_programs_write_it(place: str, tmp_path: Path) 
         (folder / "images").rename(folder / "dense" / "0" / "images")
     assert ColmapScene.recognizes(folder)
     (folder / "transforms.json").touch()  # nerfstudio's ns-process-data writes both
-    assert ColmapScene.recognizes(folder) == (not place.startswith("colmap"))
+    assert ColmapScene.recognizes(folder) == usual
     assert_sees_the_points(load(folder))
 
 
@@ -308,21 +320,31 @@ def test_text_files_without_lines_of_features(tmp_path: Path) -> None:
     assert_sees_the_points(scene)
 
 
-def test_text_files_of_other_systems(tmp_path: Path) -> None:
-    """A mark of UTF-8, line ends of Windows, sizes as fractions, backslashes, decomposed accents."""
+def test_text_files_of_other_systems(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Marks of UTF-8 and UTF-16, line ends of Windows, fractions, backslashes, decomposed accents."""
     folder = write_colmap(tmp_path, World(), text=True, model="PINHOLE")
     rewrite(folder, "cameras.txt", lambda text: "\ufeff" + text.replace(" 64 48 ", " 64.0 48.0 "))
     name = "caf\u00e9"
     rewrite(folder, "images.txt", lambda text: text.replace("IMG_03", f"{name}\\IMG_03"))
     for file in ("cameras.txt", "images.txt", "points3D.txt"):
         rewrite(folder, file, lambda text: text.replace("\n", "\r\n"))
+    points = folder / "sparse" / "0" / "points3D.txt"
+    text = points.read_text()
+    for color in COLORS:
+        whole = " ".join(map(str, color))
+        text = text.replace(f" {whole} ", f" {whole.replace(' ', '.0 ')}.0 ")
+    points.write_text(text, "utf-16")
     (folder / "images" / name).mkdir()
     (folder / "images" / "IMG_03.png").rename(folder / "images" / name / "IMG_03.png")
     rewrite(folder, "images.txt", lambda text: text.replace("IMG_04", "\u00e9_04"))
     (folder / "images" / "IMG_04.png").rename(folder / "images" / "e\u0301_04.png")
-    scene = load(folder, test_every=0)
+    with caplog.at_level(logging.INFO, logger="stereogs.photos"):
+        scene = load(folder, test_every=0)
+    assert "no camera" not in caplog.text
     assert len(scene.train) == 9
     assert_sees_the_points(scene)
+    assert scene.points is not None
+    np.testing.assert_allclose(255 * scene.points.colors.numpy(), COLORS, atol=1e-4)
 
 
 def test_fisheye_models_with_fewer_coefficients(tmp_path: Path) -> None:
@@ -341,17 +363,29 @@ def test_fisheye_models_with_fewer_coefficients(tmp_path: Path) -> None:
     np.testing.assert_array_equal(images[0].numpy(), images[1].numpy())
     np.testing.assert_allclose(images[0].numpy(), images[2].numpy(), atol=2 / 255)
     assert images[3].shape != images[0].shape
+    for line in (
+        f"1 FISHEYE 64 48 {focal} {focal} 32 24",
+        f"1 SIMPLE_FISHEYE 64 48 {focal} 32 24",
+        f"1 OPENCV_FISHEYE 64 48 {focal} {focal} 32 24 0 0 0 0",
+    ):
+        (folder / "sparse" / "0" / "cameras.txt").write_text(line)
+        images.append(load(folder).train[0].image)
+    np.testing.assert_array_equal(images[-1].numpy(), images[-2].numpy())
+    np.testing.assert_array_equal(images[-1].numpy(), images[-3].numpy())
 
 
 def test_a_missing_photograph_is_named_and_left_out(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = write_colmap(tmp_path, World())
-    (folder / "images" / "IMG_04.png").unlink()
+    (folder / "images" / "IMG_04.png").rename(folder / "images" / "unregistered.png")
+    caplog.set_level(logging.INFO, "stereogs.photos")
     scene = load(folder, test_every=0)
     assert [view.name for view in scene.train] == [f"IMG_0{k}" for k in range(9) if k != 4]
     assert scene.points is not None
     assert "IMG_04.JPG" in caplog.text
+    assert "1 pictures have no camera" in caplog.text
+    assert "unregistered.png" in caplog.text
 
 
 def test_points_without_tracks_are_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -68,6 +68,8 @@ def test_renders_and_exports_need_no_photographs(run: stereogs.Run) -> None:
         lambda: again.image.mean(),
         lambda: view.image - again.image,
         lambda: len(again.image),
+        lambda: 255 * again.image,
+        lambda: again.image == view.image,
     ):
         with pytest.raises(SceneError):
             use()

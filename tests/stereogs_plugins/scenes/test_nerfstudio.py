@@ -105,7 +105,8 @@ def test_a_frame_in_two_lists_is_refused(tmp_path: Path) -> None:
         load(folder)
 
 
-def test_names_as_other_systems_write_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_names_as_other_systems_write_them(encoding: str, tmp_path: Path) -> None:
     folder = write_nerfstudio(tmp_path, World())
 
     def change(content: dict[str, Any]) -> None:
@@ -113,11 +114,12 @@ def test_names_as_other_systems_write_them(tmp_path: Path) -> None:
         frames[0]["file_path"] = str(folder / frames[0]["file_path"])
         frames[1]["file_path"] = "./" + frames[1]["file_path"]
         frames[2]["file_path"] = frames[2]["file_path"].replace("/", "\\")
+        frames[4]["file_path"] = frames[4]["file_path"].upper()
         frames[3]["transform_matrix"] = frames[3]["transform_matrix"][:3]
 
     path = folder / "transforms.json"
     edit(folder, change)
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    path.write_bytes(path.read_text().replace("\n", "\r\n").encode(encoding))
     scene = load(folder)
     assert len(scene.train) == 7
     assert_sees_the_points(scene)
@@ -154,8 +156,9 @@ def test_the_focal_length_may_be_an_angle(tmp_path: Path) -> None:
         ({"camera_model": "PINHOLE", "k1": 0.3}, {"camera_model": "OPENCV", "k1": 0.3}),
         ({"camera_model": "SIMPLE_RADIAL", "k1": 0.3}, {"camera_model": "OPENCV", "k1": 0.3}),
         ({"camera_model": None, "is_fisheye": True}, {"camera_model": "OPENCV_FISHEYE"}),
+        ({"distortion_params": [0.3, 0.1, 0, 0, 0.02, 0]}, {"k1": 0.3, "k2": 0.1, "p1": 0.02}),
     ],
-    ids=["pinhole", "radial", "fisheye"],
+    ids=["pinhole", "radial", "fisheye", "list"],
 )
 def test_lens_fields_of_other_programs(
     fields: dict[str, object], same_as: dict[str, object], tmp_path: Path

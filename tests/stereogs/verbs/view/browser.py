@@ -73,6 +73,26 @@ def click(page: Connection, place: tuple[float, float], modifier: str) -> None:
     _point(page, {"event_type": "click", "screen_pos": (place,), "modifier": modifier, **ray})
 
 
+def paint(page: Connection, places: list[tuple[float, float]], modifier: str) -> None:
+    """Drag the brush over places, from 0 to 1 in the image, with a key held."""
+    phases = ["start", *["update"] * (len(places) - 2), "end"]
+    nowhere = (0.0, 0.0, 0.0)
+    for phase, place in zip(phases, places, strict=True):
+        message = {
+            "type": "SceneNodeDragMessage",
+            "phase": phase,
+            "name": "/canvas",
+            "instance_index": None,
+            "start_position": nowhere,
+            "start_screen_pos": places[0],
+            "end_position": nowhere,
+            "end_screen_pos": place,
+            "button": "left",
+            "modifier": modifier,
+        }
+        page.send(msgspec.msgpack.encode(message))
+
+
 def _point(page: Connection, event: dict[str, Any]) -> None:
     message = {"type": "ScenePointerMessage", "ray_origin": None, "ray_direction": None, **event}
     page.send(msgspec.msgpack.encode(message))

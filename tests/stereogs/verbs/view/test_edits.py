@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from core_rasterizer import Camera, Device, GaussianModel, Gaussians, load_ply, save_ply
-from registry import RunError
-from stereogs.verbs.view.edits import Edits, clicked, in_ball, in_rectangle
+from stereogs.verbs.view.edits import Edits, Stroke, clicked, in_ball, in_rectangle
 from stereogs.verbs.view.subject import of_file
 
 
@@ -33,7 +32,12 @@ def test_deleted_gaussians_are_not_selected_and_undo_takes_back_each_change() ->
     before = edits.revision
     edits.select(mask("...x"), add=True)  # changes nothing, so there is nothing to take back
     assert edits.revision == before
-    for selected, deleted in (("x...", ".xx."), ("....", ".xx."), (".xx.", "....")):
+    assert edits.select(mask("x..."), add=True)
+    assert edits.select(mask("...x"), add=False, joins=True)  # undone together
+    for selected, deleted in (
+        *(("...x", ".xx."), ("x...", ".xx.")),
+        *(("....", ".xx."), (".xx.", "....")),
+    ):
         edits.undo()
         assert edits.selected.equal(mask(selected))
         assert edits.deleted.equal(mask(deleted))
@@ -72,6 +76,33 @@ def test_a_click_finds_the_surface(device: Device) -> None:
     assert in_ball(means, found, 9.0).all()
 
 
+def test_a_brush_touches_what_is_seen_along_its_way(device: Device) -> None:
+    """A wall at depth 3 in the left half; dots just behind it, far behind it, and beside it."""
+    wall = torch.cartesian_prod(torch.linspace(-2, -0.1, 25), torch.linspace(-1.5, 1.5, 40))
+    wall = torch.cat([wall, torch.full((len(wall), 1), 3.0)], dim=1)
+    dots = torch.tensor([[-0.6, 0.0, 3.02], [-0.8, 0.0, 4.0], [0.6, 0.0, 3.0], [1.6, 0.0, 5.0]])
+    means = torch.cat([dots, wall])
+    sizes = torch.full((len(means),), 0.06)
+    gaussians = Gaussians.from_points(means, means * 0 + 0.5, sizes, sizes * 0 + 0.99, 0)
+    camera = Camera.centered(torch.eye(4), 60.0, 80, 60)
+    rendering = GaussianModel(gaussians, device).render(camera)
+    shown = torch.ones(len(means), dtype=torch.bool)
+
+    def touched(*places: tuple[float, float], shown: torch.Tensor = shown) -> torch.Tensor:
+        stroke = Stroke(means, shown, camera, rendering, places[0])
+        return torch.stack([stroke.to(place, 0.05) for place in places[1:]]).any(dim=0)
+
+    left, middle, right = (0.2, 0.5), (0.5, 0.5), (0.8, 0.5)
+    across = touched(left, middle, right)
+    assert across[:4].equal(mask("x.xx"))
+    u, v, _ = camera.project(means)
+    near = torch.hypot((16 - u).clamp(min=0), v - 30) / 60 <= 0.05  # the stroke begins at column 16
+    assert across[4:].equal(near[4:])
+    assert touched(left, left)[:4].equal(mask("...."))
+    assert touched(middle, right)[:4].equal(mask("..xx")), "between two places too"
+    assert touched(left, right, shown=torch.arange(len(means)) != 2)[:4].equal(mask("x..x"))
+
+
 def test_saved_gaussians_keep_their_bits_and_no_file_is_replaced(
     device: Device, tmp_path: Path
 ) -> None:
@@ -87,5 +118,3 @@ def test_saved_gaussians_keep_their_bits_and_no_file_is_replaced(
     assert subject.source.save(kept) == tmp_path / "a-edited-2.ply"
     before, after = vars(load_ply(tmp_path / "a.ply")), vars(load_ply(path))
     assert all(after[name].equal(values[kept]) for name, values in before.items())
-    with pytest.raises(RunError, match="deleted"):
-        subject.source.save(kept & ~kept)

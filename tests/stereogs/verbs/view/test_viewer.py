@@ -28,7 +28,16 @@ from stereogs.verbs.view.edits import Source
 from stereogs.verbs.view.guard import Guard
 from stereogs.verbs.view.subject import Subject, start_pose, viewpoints_of
 from stereogs.verbs.view.viewer import Viewer
-from tests.stereogs.verbs.view.browser import WINDOW, Received, change, click, drag, move, visit
+from tests.stereogs.verbs.view.browser import (
+    WINDOW,
+    Received,
+    change,
+    click,
+    drag,
+    move,
+    paint,
+    visit,
+)
 
 SCENE = tiny_scene()
 
@@ -166,10 +175,21 @@ def test_gaussians_are_selected_deleted_and_saved(subject: Subject, tmp_path: Pa
         serve_until(viewer, received, lambda: green(received.picture) < 20)
         click(page, (0.75, 0.5), "shift")
         done("Nothing is there: click on a surface.")
-        change(page, received.controls["Ball, % of distance"], 15.0)
+        change(page, received.controls["Radius, % of distance"], 15.0)
         click(page, (0.25, 0.5), "shift")
         serve_until(viewer, received, lambda: selected(received) in range(1, 20))
         press("Select none", f"0 selected, {visible} deleted")
+        change(page, received.controls["Drag draws"], "brush")
+        serve_until(viewer, received, lambda: "/canvas" in received.nodes)
+        across = [(0.0, 0.5), (0.2, 0.5), (0.4, 0.5)]
+        paint(page, across, "shift")
+        serve_until(viewer, received, lambda: selected(received) == 22)  # of two rows
+        paint(page, across[:2], "cmd/ctrl+shift")
+        serve_until(viewer, received, lambda: 0 < selected(received) < 22)
+        press("Undo", f"22 selected, {visible} deleted")
+        press("Undo", f"0 selected, {visible} deleted")
+        change(page, received.controls["Drag draws"], "rectangle")
+        serve_until(viewer, received, lambda: "/canvas" not in received.nodes)
         change(page, received.controls["near"], False)
         drag(page, (0.0, 0.0), (1.0, 1.0), "shift")
         change(page, received.controls["Select all shown"], True)

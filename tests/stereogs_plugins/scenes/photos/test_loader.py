@@ -272,13 +272,19 @@ def test_the_contract(folder: Path, entry: Path) -> None:
         ("Thumbs.db", True),
         ("notes.txt", True),
         ("IMG_1.DNG", True),
+        ("database.db", True),
+        ("hloc/features.h5", True),
+        ("sparse/project.ini", True),
+        ("scene.rcproj", True),
         ("transforms.json", False),
+        ("sparse/0/cameras.bin", False),
         ("cameras.txt", False),
     ],
 )
 def test_folders_that_are_recognized(file: str, recognized: bool, tmp_path: Path) -> None:
     assert not PhotosScene.recognizes(tmp_path)
     write_pictures(tmp_path, 1)
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / file).touch()
     assert PhotosScene.recognizes(tmp_path) is recognized
 

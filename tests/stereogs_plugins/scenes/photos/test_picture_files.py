@@ -95,7 +95,13 @@ def test_a_file_that_is_not_a_picture_is_left_out(tmp_path: Path) -> None:
         load(tmp_path)
     assert "left out: 1.jpg: the photograph cannot be read" in caught.value.what
     write_pictures(tmp_path, 3)
-    assert reasons(tmp_path) == {"notes.txt": "not a picture"}
+    for name in ("database.db", "cameras.xml"):
+        (tmp_path / name).touch()
+    assert reasons(tmp_path) == {
+        "cameras.xml": "cameras of another program; export them for COLMAP to use them",
+        "database.db": "a database of matches; they are found anew",
+        "notes.txt": "not a picture",
+    }
 
 
 def test_copies_are_left_out(tmp_path: Path) -> None:

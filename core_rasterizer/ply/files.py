@@ -21,22 +21,27 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .errors import PlyError
-from .gaussians import SH_C0, Gaussians
-from .ply_header import CONVERT, read_header
+from ..errors import PlyError
+from ..gaussians import SH_C0, Gaussians
+from ..layout import MAX_LOGIT
+from .header import CONVERT, read_header
+from .values import read_as_parameters
 
 if TYPE_CHECKING:
     from plyfile import PlyData
 
-    from .ply_header import PlyHeader
+    from .header import PlyHeader
 
 _COMMENT = "SplatRenderMode: default"
 """Tells viewers that training used no anti-aliasing filter."""
 
 _MIP, _FILTER = "SplatRenderMode: mip", "filter_3D"
 """A comment, and a property, of scenes trained with Mip-Splatting's filters."""
-MAX_LOGIT = 30.0
-"""Opacity logit that stands for infinity: the opacity is 1 in single precision."""
+
+_MOVING = {"t", "mu_t", "scale_t", "scaling_t", "trbf_center", "motion_0", "velocity_0"}
+"""Properties of Gaussians that move or fade in time (Spacetime Gaussians, 4DGS)."""
+_MOTION = "delta_vertex"
+"""Begin of the names of Brush's elements that move the vertices."""
 
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
@@ -115,9 +120,11 @@ def save_ply(
 def load_ply(path: str | Path) -> Gaussians:
     """Read Gaussians of SH degree 0 to 3 from a PLY file, text or binary.
 
-    Properties may come in any order, and unknown ones are ignored. Infinite opacity logits, which some
-    programs write for opacities of 0 and 1, become -30 and 30. A warning says if the scene was trained with
-    an anti-aliasing filter that a plain rendering lacks.
+    Properties may come in any order, and unknown ones are ignored. red, green, blue may replace the constant
+    SH band. Infinite opacity logits, which some programs write for opacities of 0 and 1, become -30 and 30.
+    Opacities in [0, 1], lengths and colours in place of logits, logarithms and SH coefficients are converted
+    where their values leave no doubt, with a warning, except in files that `save_ply` wrote. A warning says
+    if the scene moves, or was trained with an anti-aliasing filter that a plain rendering lacks.
 
     Raises:
         PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has another value that
@@ -127,7 +134,9 @@ def load_ply(path: str | Path) -> Gaussians:
     header, vertex = _read_vertices(path)
     available = set(vertex.dtype.names or ())
     rest = _rest_names(available, path)
-    missing = [name for name in _REQUIRED if name not in available]
+    painted = _has_plain_colors(available)
+    required = [name for name in _REQUIRED if not (painted and name in _CONSTANT_BAND)]
+    missing = [name for name in required if name not in available]
     if missing:
         raise _not_gaussians(missing, available, path)
     if _FILTER in available or any(_MIP in comment for comment in header.comments):
@@ -136,16 +145,29 @@ def load_ply(path: str | Path) -> Gaussians:
             "compensate_dilation, or export it again with the filters applied",
             path,
         )
+    moving = available & _MOVING
+    moving |= {element.name for element in header.elements if element.name.startswith(_MOTION)}
+    if moving:
+        _log.warning(
+            "%s moves in time (%s), which is ignored: all Gaussians are shown at once",
+            *(path, _listed(sorted(moving))),
+        )
     logits = vertex["opacity"]
     logits[np.isinf(logits)] = np.copysign(MAX_LOGIT, logits[np.isinf(logits)])
-    columns = {name: _column(vertex, name, path) for name in (*_REQUIRED, *rest)}
-    return _gaussians_from(columns, rest)
+    columns = {name: _column(vertex, name, path) for name in (*required, *rest)}
+    if painted:
+        constant = (_plain_colors(vertex, path) - 0.5) / SH_C0
+        columns.update(zip(_CONSTANT_BAND, constant.unbind(1), strict=True))
+    return _gaussians_from(columns, rest, path, keep=_COMMENT in header.comments)
 
 
 def _not_gaussians(missing: list[str], available: set[str], path: Path) -> PlyError:
     """Return the error for vertices that lack a property; it says what they are if that is known."""
     if "packed_position" in available:
         return PlyError("the scene was compressed by SuperSplat", where=str(path), fix=CONVERT)
+    if "f_anchor_feat_0" in available:
+        what = "the scene stores anchors, from which networks make Gaussians (Scaffold-GS)"
+        return PlyError(what, where=str(path), fix="use a scene of 3D Gaussians")
     if missing == ["scale_2"]:
         what = "the scene consists of flat 2D Gaussians (2DGS), which have two scales each"
         return PlyError(what, where=str(path), fix="use a scene of 3D Gaussians")
@@ -164,8 +186,9 @@ def holds_gaussians(path: str | Path) -> bool:
     """
     elements = read_header(Path(path)).elements
     lines = b"".join(element.lines for element in elements if element.name == "vertex")
-    names = re.findall(rb"^property[ \t]+\w+[ \t]+(\w+)", lines, flags=re.MULTILINE)
-    return set(_REQUIRED) <= {name.decode() for name in names}
+    found = re.findall(rb"^property[ \t]+\w+[ \t]+(\w+)", lines, flags=re.MULTILINE)
+    names = {name.decode() for name in found}
+    return {*_REQUIRED} <= names | ({*_CONSTANT_BAND} if _has_plain_colors(names) else set())
 
 
 def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
@@ -191,11 +214,21 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
             where=str(path),
             fix="use a point cloud with x y z and red green blue",
         )
-    positions = torch.stack([_column(vertex, name, path) for name in _POSITION], dim=1)
-    colors = torch.stack([_column(vertex, name, path) for name in color_names], dim=1)
+    positions = _stacked(vertex, _POSITION, path)
     if constant_band:
-        colors = colors * SH_C0 + 0.5
+        colors = _stacked(vertex, _CONSTANT_BAND, path) * SH_C0 + 0.5
         return positions, colors.clamp(0, 1)
+    return positions, _plain_colors(vertex, path)
+
+
+def _has_plain_colors(available: set[str]) -> bool:
+    """Whether vertices have red, green, blue and no SH coefficients."""
+    return {*_COLOR} <= available and available.isdisjoint(_CONSTANT_BAND)
+
+
+def _plain_colors(vertex: NDArray[np.void], path: Path) -> Tensor:
+    """Return red, green, blue `[P, 3]` in [0, 1]."""
+    colors = _stacked(vertex, _COLOR, path)
     largest = 255 if np.issubdtype(vertex["red"].dtype, np.integer) else 1
     if colors.numel() and not 0 <= colors.min() <= colors.max() <= largest:
         raise PlyError(
@@ -203,7 +236,7 @@ def load_points(path: str | Path) -> tuple[Tensor, Tensor]:
             where=str(path),
             fix="write colours as whole numbers up to 255, or as floats up to 1",
         )
-    return positions, colors / largest
+    return colors / largest
 
 
 def _read_vertices(path: Path) -> tuple[PlyHeader, NDArray[np.void]]:
@@ -254,20 +287,25 @@ def _read_rows(
         return np.loadtxt(file, dtype, comments=None, max_rows=count, ndmin=1)
 
 
-def _gaussians_from(columns: dict[str, Tensor], rest: list[str]) -> Gaussians:
+def _gaussians_from(
+    columns: dict[str, Tensor], rest: list[str], path: Path, *, keep: bool
+) -> Gaussians:
     def stacked(names: tuple[str, ...]) -> Tensor:
         return torch.stack([columns[name] for name in names], dim=1)
 
-    constant = stacked(_CONSTANT_BAND)[:, None, :]  # [N, 1, 3]
-    bands = [constant]
+    means = stacked(_POSITION)
+    log_scales, logits, constant = read_as_parameters(
+        means, stacked(_SCALE), columns["opacity"], stacked(_CONSTANT_BAND), path, keep
+    )
+    bands = [constant[:, None, :]]  # [N, 1, 3]
     if rest:
         channel_major = stacked(tuple(rest)).reshape(constant.shape[0], 3, len(rest) // 3)
         bands.append(channel_major.transpose(1, 2))
     return Gaussians(
-        means=stacked(_POSITION),
-        log_scales=stacked(_SCALE),
+        means=means,
+        log_scales=log_scales,
         quaternions=stacked(_ROTATION),
-        opacity_logits=columns["opacity"],
+        opacity_logits=logits,
         sh=torch.cat(bands, dim=1),
     )
 
@@ -287,6 +325,10 @@ def _rest_names(available: set[str], path: Path) -> list[str]:
             fix="SH degrees 0, 1, 2, 3 need 0, 9, 24, 45 of them, numbered from 0",
         )
     return names
+
+
+def _stacked(vertex: NDArray[np.void], names: tuple[str, ...], path: Path) -> Tensor:
+    return torch.stack([_column(vertex, name, path) for name in names], dim=1)
 
 
 def _column(vertex: NDArray[np.void], name: str, path: Path) -> Tensor:

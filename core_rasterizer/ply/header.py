@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import PlyError
+from ..errors import PlyError
 
 _MAX_HEADER = 1 << 16
 _MAX_DIGITS = 18
