@@ -10,6 +10,7 @@ from .contract.components import SceneLoader
 from .discovery import OWN_PACKAGE, SCENE, Offer, Plugins
 from .errors import SceneError
 from .messages.suggestions import listing
+from .toolkit.cache.remote import local_copy
 
 _log = logging.getLogger(__name__)
 
@@ -29,13 +30,14 @@ def recognizing(folder: Path, plugins: Plugins) -> list[Offer]:
 
 
 def recognize(folder: Path, plugins: Plugins) -> Offer:
-    """Return the scene loader that recognizes a folder by its content, or a file.
+    """Return the scene loader that recognizes a folder by its content, or a file, also a remote one.
 
     A loader of this project comes before those of other packages, which must be named.
 
     Raises:
         SceneError: the folder does not exist, or no loader or several recognize it.
     """
+    folder = local_copy(folder)
     if not folder.exists():
         raise SceneError(
             "there is no such folder of data",
@@ -56,6 +58,12 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
             f"the folder may be of several formats: {names}",
             where=str(folder),
             fix=f"choose one: `check --format {first}`, `train --set scene.use={first}`",
+        )
+    if folder.is_file():
+        raise SceneError(
+            "this is a file, not a folder of data or a video",
+            where=str(folder),
+            fix="give the folder that holds it, unpack an archive; `stereogs view FILE.ply` shows Gaussians",
         )
     loaders = scene_loaders(plugins)
     lines = ["the folder's format is not known. The loaders looked for:"]

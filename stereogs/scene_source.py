@@ -15,6 +15,7 @@ from registry.pipeline.single_item import COMMAND_LINE, qualified, single_item
 from registry.pipeline.training_settings import TrainingSettings
 from registry.pipeline.yaml_source import Node
 from registry.recognition import recognize
+from registry.toolkit.cache.remote import url_of
 
 if TYPE_CHECKING:
     from core_rasterizer import Device, Engine
@@ -56,7 +57,7 @@ def find_loader(
         offer = (
             recognize(data, plugins) if format_name is None else plugins.find(SCENE, format_name)
         )
-        path = Node(escape_variables(str(data)), COMMAND_LINE)
+        path = Node(escape_variables(url_of(data) or str(data)), COMMAND_LINE)
         loader = single_item(offer, changes, {"path": path})
         items = {
             SCENE.section: (loader,),

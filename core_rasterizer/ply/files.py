@@ -38,6 +38,11 @@ _COMMENT = "SplatRenderMode: default"
 _MIP, _FILTER = "SplatRenderMode: mip", "filter_3D"
 """A comment, and a property, of scenes trained with Mip-Splatting's filters."""
 
+_MOVING = {"t", "mu_t", "scale_t", "scaling_t", "trbf_center", "motion_0", "velocity_0"}
+"""Properties of Gaussians that move or fade in time (Spacetime Gaussians, 4DGS)."""
+_MOTION = "delta_vertex"
+"""Begin of the names of Brush's elements that move the vertices."""
+
 _POSITION = ("x", "y", "z")
 _NORMAL = ("nx", "ny", "nz")
 _COLOR = ("red", "green", "blue")
@@ -119,7 +124,7 @@ def load_ply(path: str | Path) -> Gaussians:
     SH band. Infinite opacity logits, which some programs write for opacities of 0 and 1, become -30 and 30.
     Opacities in [0, 1], lengths and colours in place of logits, logarithms and SH coefficients are converted
     where their values leave no doubt, with a warning, except in files that `save_ply` wrote. A warning says
-    if the scene was trained with an anti-aliasing filter that a plain rendering lacks.
+    if the scene moves, or was trained with an anti-aliasing filter that a plain rendering lacks.
 
     Raises:
         PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has another value that
@@ -139,6 +144,13 @@ def load_ply(path: str | Path) -> Gaussians:
             "%s was trained with Mip-Splatting's filters, which a plain rendering lacks: render it with "
             "compensate_dilation, or export it again with the filters applied",
             path,
+        )
+    moving = available & _MOVING
+    moving |= {element.name for element in header.elements if element.name.startswith(_MOTION)}
+    if moving:
+        _log.warning(
+            "%s moves in time (%s), which is ignored: all Gaussians are shown at once",
+            *(path, _listed(sorted(moving))),
         )
     logits = vertex["opacity"]
     logits[np.isinf(logits)] = np.copysign(MAX_LOGIT, logits[np.isinf(logits)])

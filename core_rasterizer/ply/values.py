@@ -46,7 +46,7 @@ def read_as_parameters(
     Args:
         means: `[N, 3]`.
         log_scales: `[N, 3]`, perhaps lengths.
-        logits: `[N]`, perhaps opacities in [0, 1].
+        logits: `[N]`, perhaps opacities up to 1 or 255.
         constant_band: `[N, 3]`, perhaps colours up to 1 or 255.
         keep: True if the program is known to store parameters: nothing is converted, and nothing that is
             uncertain is named.
@@ -72,7 +72,8 @@ def read_as_parameters(
     if lengths in converted:
         log_scales = log_scales.clamp(min=torch.finfo(torch.float32).tiny).log()
     if opacities in converted:
-        logits = logits.double().logit().clamp(-MAX_LOGIT, MAX_LOGIT).float()
+        largest = 255 if logits.max() > 1 else 1
+        logits = (logits.double() / largest).logit().clamp(-MAX_LOGIT, MAX_LOGIT).float()
     if colors in converted:
         largest = 255 if constant_band.max() > 1 else 1
         constant_band = (constant_band / largest - 0.5) / SH_C0
@@ -92,12 +93,15 @@ def _as_lengths(scales: Tensor, means: Tensor) -> _Found | None:
 
 
 def _as_opacities(logits: Tensor, *, surely: bool) -> _Found | None:
-    """Recognize opacities: all are in [0, 1], and they use most of that range, or all are 1.
+    """Recognize opacities: all are in [0, 1], and they use most of that range, or all are 1; or up to 255.
 
     Logits after little training are close to each other.
     """
-    if not logits.numel() or logits.min() < 0 or logits.max() > 1 or logits.max() == 0:
+    if not logits.numel() or logits.min() < 0 or logits.max() == 0:
         return None
+    if logits.max() > 1:
+        of_bytes = MAX_LOGIT < logits.max() <= 255 and _differ(logits / 255)
+        return _Found("opacities up to 255", True) if of_bytes else None
     many = len(logits) >= _ENOUGH and (_differ(logits) or bool((logits == 1).all()))
     return _Found("opacities in [0, 1]", surely or many)
 

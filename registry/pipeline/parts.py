@@ -28,6 +28,7 @@ from ..errors import RunError
 from ..toolkit.progress.stages import progress
 from .faults import needs_rendered
 from .pipeline import Item, Pipeline
+from .settings_check import with_local_copies
 
 TRAINING_SECTIONS = frozenset(p.section for p in PIPELINE_POINTS if p.scheduled and not p.observes)
 """The sections whose components take part in the training loop; each field has its own."""
@@ -141,6 +142,7 @@ class Parts:
             return replace(known, item=item)
         if item.point is not SCENE:
             return build_part(item, seed, self.device)
+        item = replace(item, settings=with_local_copies(item.settings))
         return build_part(item, seed, self.device, priors=self._priors)
 
     def _priors(self, base: type[Any]) -> Mapping[str, Prior[Any]]:

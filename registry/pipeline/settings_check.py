@@ -14,6 +14,7 @@ import pydantic
 
 from ..contract.component import Settings
 from ..messages.suggestions import did_you_mean, listing
+from ..toolkit.cache.remote import local_copy, url_of
 from ..toolkit.networks.model_file import MODELS_VARIABLE
 from .yaml_source import Node, Place
 
@@ -53,7 +54,7 @@ def validate_settings(
     text = json.dumps(plain(node))
     try:
         settings = model.model_validate_json(text, strict=True)
-        for name, written in _with_private_variables(node, model.public).items():
+        for name, written in _kept_as_written(node, model.public).items():
             settings._written[name] = getattr(settings, name), written
         return settings
     except pydantic.ValidationError as error:
@@ -144,17 +145,26 @@ def with_path(settings: Model, name: str, path: Path) -> Model:
     return changed
 
 
+def with_local_copies(settings: Model) -> Model:
+    """Return settings with local copies of remote data; they are recorded as before."""
+    for name, value in settings:
+        if isinstance(value, Path) and url_of(value):
+            settings = with_path(settings, name, local_copy(value))
+    return settings
+
+
 def _as_written(settings: Settings) -> dict[str, Any]:
     """Return the settings that are recorded as written, unless they were changed since."""
     return {k: w for k, (v, w) in settings._written.items() if getattr(settings, k) == v}
 
 
 def paths_of(settings: Settings) -> Iterator[tuple[Path, str]]:
-    """Yield each path in settings, and how to show it."""
+    """Yield each path in settings that is not a URL, and how to show it."""
     written = _as_written(settings)
     for name, value in settings:
         for path in leaves(value, Path):
-            yield path, str(written.get(name, path))
+            if url_of(path) is None:
+                yield path, str(written.get(name, path))
 
 
 def leaves(value: Any, kind: type) -> Iterator[Any]:
@@ -166,11 +176,15 @@ def leaves(value: Any, kind: type) -> Iterator[Any]:
             yield from leaves(inner, kind)
 
 
-def _with_private_variables(node: Node, public: Collection[str]) -> dict[str, Any]:
-    """Return the settings whose text has a variable that may be secret, as written."""
+def _kept_as_written(node: Node, public: Collection[str]) -> dict[str, Any]:
+    """Return the settings with a variable that may be secret, or with a URL, whose slashes a path merges."""
     children = node.content if isinstance(node.content, dict) else {}
     written = {k: child.as_written() for k, child in children.items() if k not in public}
-    return {k: value for k, value in written.items() if any(map(_is_private, leaves(value, str)))}
+    return {k: v for k, v in written.items() if any(map(_is_kept, leaves(v, str)))}
+
+
+def _is_kept(text: str) -> bool:
+    return _is_private(text) or url_of(text) is not None
 
 
 def _is_private(text: str) -> bool:

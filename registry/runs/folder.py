@@ -32,6 +32,7 @@ from pydantic import Field
 from ..errors import RunError
 from ..system.files import jsonable, new_folder, remove_leftovers, write_json, write_text
 from ..system.lock import locked
+from ..toolkit.cache.remote import url_of
 from .results import Amount, Record, Results, problem_of, read_results
 
 if TYPE_CHECKING:
@@ -70,6 +71,16 @@ def refuse_occupied(out: Path | ChooseFolder | None) -> None:
         RunFolder.check_vacant(out if isinstance(out, Path) else Path("runs", "*"))
 
 
+def refuse_url(path: Path) -> None:
+    """Refuse a remote path, which would be written as local folders of strange names."""
+    if url := url_of(path):
+        raise RunError(
+            "run folders are local; only scenes may be remote",
+            where=url,
+            fix="give a local path, and copy the folder with the tools of the remote file system",
+        )
+
+
 class _Provenance(Record):
     run: str = ""
     folder: str = ""
@@ -99,6 +110,7 @@ class RunFolder:
     @staticmethod
     def existing(path: Path) -> RunFolder:
         """Return the folder of a run that was started earlier; refuse other paths."""
+        refuse_url(path)
         run = RunFolder(path)
         if not run.pipeline.is_file():
             reason = "it has no pipeline.yaml" if path.is_dir() else "there is no such folder"
@@ -112,6 +124,7 @@ class RunFolder:
     @staticmethod
     def check_vacant(path: Path) -> None:
         """Refuse a path that is a file or not empty, or cannot be written."""
+        refuse_url(path)
         fix = "choose another --out"
         if path.is_dir() and any(path.iterdir()):
             fix += f", or continue with `stereogs resume {path}`"

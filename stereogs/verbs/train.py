@@ -158,12 +158,15 @@ def collector_at_rest() -> Iterator[None]:
 
 
 def _is_data(given: Path, plugins: Plugins) -> bool:
-    """Return whether the argument of `train` is a folder, or a file that a scene loader recognizes."""
+    """Return whether the argument of `train` is a folder, a URL, or a file that is no pipeline."""
     from registry.pipeline.ready import is_pipeline_file
     from registry.recognition import recognizing
+    from registry.toolkit.cache.remote import url_of
 
-    is_file = given.is_file() and not is_pipeline_file(given)
-    return given.is_dir() or (is_file and bool(recognizing(given, plugins)))
+    if is_pipeline_file(given):
+        return False
+    is_data = given.is_dir() or url_of(given) is not None
+    return is_data or (given.is_file() and bool(given.suffix or recognizing(given, plugins)))
 
 
 def _loader(
@@ -178,13 +181,14 @@ def _loader(
     from registry.pipeline.pipeline import load_pipeline
     from registry.pipeline.settings_check import escape_variables
     from registry.recognition import recognize
+    from registry.toolkit.cache.remote import url_of
 
     overrides = arguments.set
     if arguments.scene and not named:
         what = f"two scenes are given: {arguments.pipeline} and {arguments.scene}"
         raise RunError(what, where="the command line", fix="leave one of them out")
     if data := arguments.scene if named else arguments.pipeline:
-        scene = {"path": escape_variables(str(data))}
+        scene = {"path": escape_variables(url_of(data) or str(data))}
         if not any(text.partition("=")[0].strip() == "scene.use" for text in overrides):
             scene["use"] = recognize(data, plugins).use
         overrides = [f"scene={json.dumps(scene, ensure_ascii=False)}", *overrides]

@@ -20,7 +20,6 @@ from registry.toolkit.photos import (
     decoding,
     estimate_bounds,
     inside,
-    list_images,
     masks_beside,
     read_colmap_model,
     usable_photos,
@@ -148,12 +147,6 @@ def _photos(model: ColmapModel, images: Path, with_masks: bool) -> list[PosedPho
         files = [file.removeprefix(prefix) for file in files]  # relative to the scene's folder
     paths = [inside(images, file, where) for file, where in zip(files, places, strict=True)]
     masks = masks_beside(images, paths) if with_masks else [None] * len(paths)
-    known = {path.stem.lower() for path in (*paths, *filter(None, masks))}
-    if others := [file.name for file in list_images(images) if file.stem.lower() not in known]:
-        _log.info(
-            "%d pictures have no camera in the model and are not used, for example %s",
-            *(len(others), others[0]),
-        )
     return [
         PosedPhoto(
             name=name,

@@ -231,20 +231,22 @@ def test_comments_need_not_be_ascii(scene_file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "said"),
     [
-        ("SplatRenderMode: default", "SplatRenderMode: mip"),
-        ("property float nx", "property float filter_3D"),
+        ("SplatRenderMode: default", "SplatRenderMode: mip", "compensate_dilation"),
+        ("property float nx", "property float filter_3D", "compensate_dilation"),
+        ("property float nx", "property float trbf_center", "moves in time (trbf_center)"),
+        ("end_header", "element delta_vertex_0 0\nend_header", "moves in time (delta_vertex_0)"),
     ],
-    ids=["comment", "property"],
+    ids=["comment", "property", "motion", "frames"],
 )
-def test_an_anti_aliasing_filter_is_mentioned(
-    old: str, new: str, scene_file: Path, caplog: pytest.LogCaptureFixture
+def test_what_a_plain_rendering_lacks_is_mentioned(
+    old: str, new: str, said: str, scene_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     load_ply(scene_file)
     assert not caplog.text
     load_ply(with_header(scene_file, old, new))
-    assert "compensate_dilation" in caplog.text
+    assert said in caplog.text
 
 
 def trained(count: int = 60) -> Gaussians:
@@ -266,8 +268,10 @@ def with_values(path: Path, gaussians: Gaussians, *stored: str) -> Path:
     if "lengths" in stored:
         for name in ("scale_0", "scale_1", "scale_2"):
             rows[name] = np.exp(rows[name])
-    if "opacities" in stored:
+    if {"opacities", "bytes"} & {*stored}:
         rows["opacity"] = 1 / (1 + np.exp(-rows["opacity"]))
+    if "bytes" in stored:
+        rows["opacity"] *= 255
     for channel, name in enumerate(("red", "green", "blue")):
         color = rows[f"f_dc_{channel}"] * SH_C0 + 0.5
         if "bytes" in stored:
@@ -287,7 +291,7 @@ def with_values(path: Path, gaussians: Gaussians, *stored: str) -> Path:
         ((), ()),
         (("opacities",), ("opacities in [0, 1]",)),
         (("lengths",), ("scales as lengths",)),
-        (("bytes",), ("colours up to 255",)),
+        (("bytes",), ("opacities up to 255 and colours up to 255",)),
         (("plain",), ()),
         (
             ("lengths", "opacities", "colours"),

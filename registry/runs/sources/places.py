@@ -8,6 +8,7 @@ from pathlib import Path
 from ...errors import RunError
 from ...pipeline.pipeline import Item, Pipeline
 from ...pipeline.settings_check import with_path
+from ...toolkit.cache.remote import url_of
 from ..folder import RunFolder
 
 _PATH = "path"
@@ -39,7 +40,7 @@ def in_its_place(pipeline: Pipeline, folder: RunFolder, scene: Path | None) -> P
                 where=f"--scene {scene}",
                 fix="remove --scene",
             )
-        settings = with_path(loader.settings, _PATH, scene.absolute())
+        settings = with_path(loader.settings, _PATH, scene if url_of(scene) else scene.absolute())
         items["scene"] = (replace(loader, settings=settings),)
     return replace(pipeline, items=items)
 

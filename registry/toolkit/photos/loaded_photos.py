@@ -14,7 +14,7 @@ from .copies import Impression
 from .decoder import QUARTER_TURNS, Decoder, stored_form, stored_size
 from .lens import Lens, import_pycolmap, undistort
 from .masks.reading import points_in_training, read_mask, report_masks
-from .reading import existing_image, find_image
+from .reading import existing_image, find_image, list_images
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -73,7 +73,7 @@ def usable_photos(
 ) -> list[int]:
     """Return the indices of photographs whose file exists and whose camera is near the others.
 
-    A warning names those that are left out.
+    A warning names those that are left out; a line, pictures beside them without a camera.
 
     Raises:
         SceneError: more than half of the photographs are missing.
@@ -91,6 +91,13 @@ def usable_photos(
         _log.warning(
             "%d of %d photographs are missing and left out: %s",
             *(len(missing), len(photos), ", ".join(missing)),
+        )
+    known = {*files, *(photo.mask for photo in photos)}
+    folders = {file.parent for file in files if file}
+    beside = (path for folder in folders for path in list_images(folder))
+    if others := sorted(path.name for path in beside if path not in known):
+        _log.info(
+            "%d pictures have no camera and are not used, for example %s", len(others), others[0]
         )
     distances = _distances([photos[index].world_to_camera for index in found])
     for index, distance in zip(found, distances, strict=True):

@@ -56,9 +56,11 @@ class ImageSourceSettings(Settings):
                 name = present[0].relative_to(scene)
                 _log.info("%s is missing: photographs are those of %s", folder, name)
                 return present[0]
-            names = ", ".join(str(path.relative_to(scene)) for path in present) or "none"
+            names = ", ".join(str(path.relative_to(scene)) for path in present)
             which = "" if self.images else f" for downsample {self.downsample}"
             fix = f"set `downsample` or `images` to an existing folder (found: {names})"
+            if not names:
+                fix = "set `path` to the folder that holds the photographs and their cameras"
             files = [path for path in folder.iterdir() if path.is_file()] if folder.is_dir() else []
             if suffixes := sorted({path.suffix.lower() for path in files}):
                 fix = f"convert the pictures to JPEG or PNG; {', '.join(suffixes)} cannot be read"

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from registry import RunError
 from registry.runners import TrainingTask
-from registry.runs.folder import RESULTS, RunFolder
+from registry.runs.folder import RESULTS, RunFolder, refuse_url
 from registry.runs.results import read_results
 from registry.system.lock import locked
 
@@ -93,6 +93,7 @@ class ExperimentFolder:
     """An output folder, which is created when needed."""
 
     def __init__(self, path: Path) -> None:
+        refuse_url(path)
         self.path = path
 
     def run(self, planned: PlannedRun) -> RunFolder:

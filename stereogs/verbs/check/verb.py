@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from registry import RunError
 from registry.messages.suggestions import counted
+from registry.toolkit.cache.remote import url_of
 from registry.toolkit.progress.display import showing
 
 from ...command_line.arguments import add_device
@@ -122,7 +123,9 @@ def _training_command(arguments: argparse.Namespace) -> str:
     changes = [f"scene.use={arguments.format}"] if arguments.format else []
     changes += [f"scene.{text.removeprefix('scene.')}" for text in arguments.set]
     options = [part for text in changes for part in ("--set", text)]
-    return shlex.join(["stereogs", "train", str(arguments.data), *options])
+    return shlex.join(
+        ["stereogs", "train", url_of(arguments.data) or str(arguments.data), *options]
+    )
 
 
 def _check_writable(path: Path) -> None:

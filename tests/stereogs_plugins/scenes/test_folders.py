@@ -99,6 +99,16 @@ def test_a_folder_of_no_known_format(
     assert scene_of(trained, str(tmp_path), "--set", "scene.use=photos")[1] == "photos"
 
 
+@pytest.mark.parametrize("name", ["photos.zip", "scene.ply", "transforms.json"])
+def test_a_file_in_place_of_a_folder(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_photos(tmp_path)
+    (tmp_path / name).touch()
+    assert main(["train", str(tmp_path / name)]) == 2
+    assert "give the folder that holds it" in capsys.readouterr().err
+
+
 def test_an_unknown_pipeline(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", "weightfre_fast"]) == 2
     assert "did you mean 'weightfree_fast'" in capsys.readouterr().err

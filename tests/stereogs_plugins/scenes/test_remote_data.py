@@ -1,0 +1,64 @@
+"""A scene on a remote file system trains and opens as if it were here; files name its address only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import fsspec
+import pytest
+
+import stereogs
+from tests.host import main
+from tests.stereogs_plugins.scenes.small_scenes import World, write_nerfstudio
+
+URL = "memory://bucket/world"
+PIPELINE = """\
+name: far
+scene: {use: nerfstudio, path: URL}
+initializer: {use: random, count: 200}
+metrics: [psnr]
+training: {iterations: 4, sh_degree: 0}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _remote_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
+    write_nerfstudio(Path("here/world"), World())
+    fsspec.filesystem("memory").put("here/world/", "/bucket/world", recursive=True)
+    Path("far.yaml").write_text(PIPELINE.replace("URL", URL))
+    Path("near.yaml").write_text(PIPELINE.replace("URL", "here/world"))
+
+
+def test_it_trains_to_the_same_bits_and_is_recorded_by_its_address() -> None:
+    assert main(["train", "far.yaml", "--out", "far"]) == 0
+    assert main(["train", "near.yaml", "--out", "near"]) == 0
+    far, near = stereogs.open_run("far"), stereogs.open_run("near")
+    assert far.hash == near.hash
+    assert far.scene.name == near.scene.name == "world"
+    written = Path("far/pipeline.yaml").read_text("utf-8")
+    assert f"path: {URL}\n" in written
+    files = [path for path in Path("far").rglob("*.json") if path.is_file()]
+    assert not any(str(Path("cache").absolute()) in file.read_text("utf-8") for file in files)
+    assert main(["eval", "far"]) == 0
+    assert main(["resume", "near", "--scene", URL]) == 0
+
+
+def test_the_verbs_take_an_address(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", URL]) == 0
+    assert main(["train", "far.yaml", "--scene", URL, "--out", "named"]) == 0
+    small = ["--set", "training.iterations=2", "--set", "initializer={use: random, count: 50}"]
+    assert main(["train", URL, "--out", "given", *small]) == 0
+    for run in ("named", "given"):
+        assert stereogs.results(run)["scene"]["name"] == "world"
+        assert URL in Path(run, "pipeline.yaml").read_text("utf-8")
+    for command in (
+        ["train", "far.yaml", "--out", URL],
+        ["ablate", "far.yaml", "--out", URL],
+        ["render", URL],
+        ["compare", URL],
+    ):
+        assert main(command) == 2
+    assert not Path("memory:").exists()
+    assert f"stereogs train {URL}" in capsys.readouterr().out
