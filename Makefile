@@ -90,7 +90,8 @@ loggers: $(VENV)/.dev ## the loggers against the packages that they log with, wh
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
 
 cluster: $(VENV)/.dev ## runs on processes that share a folder, on Ray and on submitit, some killed or without data; S3; minutes
-	$(PIP) --editable '.[dev,cluster,slurm,remote]' 'moto[server]>=5'
+	$(PIP) --editable '.[dev,cluster,slurm]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check s3fs 'moto[server]>=5' # need an older dateutil
 	CLUSTER=1 $(BIN)/python -m pytest -m 'proof or not proof' tests/stereogs_plugins/runners tests/stereogs/experiments/test_sharing.py \
 		tests/registry/toolkit/cache/test_remote.py
 

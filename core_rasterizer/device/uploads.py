@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass
 
 import torch
@@ -72,5 +73,10 @@ class Uploads:
 
     def _make_room(self, wanted: int) -> None:
         most = self._device.memory_bytes // SHARE - wanted
-        while self._copies and sum(copy.array.nbytes for copy in self._copies.values()) > most:
-            self._copies.popitem(last=False)
+        while self._copies and self._bytes() > most:
+            with suppress(KeyError):  # the last one was freed meanwhile
+                self._copies.popitem(last=False)
+
+    def _bytes(self) -> int:
+        # A tuple, because a tensor that is freed meanwhile drops its copy.
+        return sum(copy.array.nbytes for copy in tuple(self._copies.values()))
