@@ -89,9 +89,10 @@ loggers: $(VENV)/.dev ## the loggers against the packages that they log with, wh
 	$(PIP) --editable '.[mlflow,rerun,tensorboard,wandb]'
 	$(BIN)/python -m pytest tests/stereogs_plugins/observers
 
+# The tools for S3 need an older dateutil than constraints.txt names.
 cluster: $(VENV)/.dev ## runs on processes that share a folder, on Ray and on submitit, some killed or without data; S3; minutes
 	$(PIP) --editable '.[dev,cluster,slurm]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check s3fs 'moto[server]>=5' # need an older dateutil
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check s3fs 'moto[server]>=5'
 	CLUSTER=1 $(BIN)/python -m pytest -m 'proof or not proof' tests/stereogs_plugins/runners tests/stereogs/experiments/test_sharing.py \
 		tests/registry/toolkit/cache/test_remote.py
 

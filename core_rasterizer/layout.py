@@ -36,8 +36,8 @@ PARAMETER_BITS = {name: 1 << number for number, name in enumerate(PARAMETERS)}
 """One bit per parameter, for sets of parameters in kernel arguments."""
 
 MAX_LOGIT = 30
-"""Largest magnitude of an opacity logit after a step of Adam. The opacity is 1 in single precision, and the
-slope of the sigmoid, 9e-14, enough for Adam; at 100 it is too small, and a logit would never return.
+"""Largest magnitude of an opacity logit after a step of Adam. There the opacity is 1 in single precision, and
+the sigmoid's slope of 9e-14 is still large enough for Adam; at 100 it is not, and a logit would never return.
 """
 
 CAPACITY_STEP = 16

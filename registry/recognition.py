@@ -10,7 +10,7 @@ from .contract.components import SceneLoader
 from .discovery import OWN_PACKAGE, SCENE, Offer, Plugins
 from .errors import SceneError
 from .messages.suggestions import listing
-from .toolkit.cache.remote import local_copy
+from .toolkit.cache.remote import local_copy, url_of
 
 _log = logging.getLogger(__name__)
 
@@ -37,11 +37,12 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
     Raises:
         SceneError: the folder does not exist, or no loader or several recognize it.
     """
+    named = url_of(folder) or str(folder)
     folder = local_copy(folder)
     if not folder.exists():
         raise SceneError(
             "there is no such folder of data",
-            where=str(folder),
+            where=named,
             fix="give a folder of photographs or of a data set, or a pipeline file (.yaml)",
         )
     found = recognizing(folder, plugins)
@@ -56,13 +57,13 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
         names, first = ", ".join(offer.use for offer in found), found[0].use
         raise SceneError(
             f"the folder may be of several formats: {names}",
-            where=str(folder),
+            where=named,
             fix=f"choose one: `check --format {first}`, `train --set scene.use={first}`",
         )
     if folder.is_file():
         raise SceneError(
             "this is a file, not a folder of data or a video",
-            where=str(folder),
+            where=named,
             fix="give the folder that holds it, unpack an archive; `stereogs view FILE.ply` shows Gaussians",
         )
     loaders = scene_loaders(plugins)
@@ -73,7 +74,7 @@ def recognize(folder: Path, plugins: Plugins) -> Offer:
     lines += [f"could not be loaded: {error.what}" for error in plugins.broken.values()]
     raise SceneError(
         "\n".join(lines),
-        where=str(folder),
+        where=named,
         fix="give what one of them looks for, or name the loader: `check --format NAME`, "
         "`train --set scene.use=NAME`",
     )

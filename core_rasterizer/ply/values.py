@@ -18,9 +18,9 @@ from ..gaussians import SH_C0
 from ..layout import MAX_LOGIT
 
 _ENOUGH = 8
-"""Number of values from which their range is no accident."""
+"""Fewer values are too few to conclude anything from their range."""
 _SHORT = 0.1
-"""Length that is usual, while few of many logarithms that are all positive would be as small."""
+"""If a quarter of the scales is smaller, they are lengths: of positive logarithms few are so close to 0."""
 _LARGEST_PART = 0.1
 """Share of a scene's diagonal that a typical Gaussian covers at most."""
 _ABOVE_ONE = 20.0

@@ -27,7 +27,7 @@ def check_kernel(
     device: Device | None = None,
     **given: Tensor | float | None,
 ) -> None:
-    """Check that a kernel has the numbers of a function in torch, and repeats its bits.
+    """Check that a kernel returns what a function in torch returns, and the same bits in each call.
 
     It runs after a backward pass, with the kernels of a CPU (not on a GPU) and those of a GPU.
 

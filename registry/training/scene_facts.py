@@ -75,8 +75,8 @@ def _about_baselines(scene: Scene) -> Iterator[str]:
         )
         return
     centers = _centers(scene.train)
-    pairs = torch.triu_indices(len(centers), len(centers), offset=1)
-    shares = (centers[pairs[0]] - centers[pairs[1]]).norm(dim=-1) / typical_depth(scene)
+    pairs = torch.triu_indices(len(centers), len(centers), offset=1)  # in the order of `pdist`
+    shares = torch.pdist(centers) / typical_depth(scene)
     near = torch.nonzero(shares < SMALL_BASELINE)[:, 0]
     for pair in near[shares[near].sort(stable=True).indices].tolist():
         first, second = (scene.train[index].name for index in pairs[:, pair].tolist())

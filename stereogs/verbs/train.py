@@ -158,7 +158,7 @@ def collector_at_rest() -> Iterator[None]:
 
 
 def _is_data(given: Path, plugins: Plugins) -> bool:
-    """Return whether the argument of `train` is a folder, a URL, or a file that is no pipeline."""
+    """Return whether the argument of `train` names data: a folder, a URL, or a file but a pipeline's."""
     from registry.pipeline.ready import is_pipeline_file
     from registry.recognition import recognizing
     from registry.toolkit.cache.remote import url_of

@@ -26,7 +26,10 @@ class DropoutSettings(Settings):
 
 
 class Dropout(Modifier[DropoutSettings]):
-    """Opacity factors of 0 for a random share, 1 or 1 / (1 - rate) for the rest."""
+    """Opacity factors of 0 for a random share, 1 or 1 / (1 - rate) for the rest.
+
+    The share is a multiple of 2^-16.
+    """
 
     def opacity_scale(self, step: Step) -> Tensor:
         """Return `[N]` factors."""
@@ -36,7 +39,7 @@ class Dropout(Modifier[DropoutSettings]):
         count, rate = step.model.count, self.settings.rate
         if self.settings.ramp:
             rate *= step.iteration / step.iterations
-        # 16 random bits for each Gaussian take a quarter of the time of `torch.rand`.
+        # 16 random bits for each Gaussian take a third of the time of `torch.rand`.
         pairs = torch.empty(-(-count // 2), dtype=torch.int32)
         pairs.random_(-(2**31), None, generator=self.generator)
         drawn = pairs.numpy().view(np.uint16)[:count]

@@ -89,8 +89,8 @@ class BlenderScene(SceneLoader[BlenderSettings]):
         test_ids = [number for number in test if every and number % every == 0]
         if test and not test_ids:
             _log.warning(
-                "no number in transforms_test.json is divisible by %d, so there is no test view; "
-                "`test_every: 1` tests all",
+                "there are no test views: transforms_test.json has no number divisible by `test_every`, "
+                "which is %d; `test_every: 1` tests all",
                 every,
             )
         missing = [number for number in train_ids if number not in train]

@@ -94,12 +94,24 @@ class ColmapScene(SceneLoader[ColmapSettings]):
         return loaded.scene("colmap", folder, bounds, points, facts)
 
     def _model_folder(self, folder: Path) -> Path:
-        """Return the folder of the model; of several, the one with most images, with a warning."""
+        """Return the folder of the model; of several, the one with most images, with a warning.
+
+        Raises:
+            SceneError: the folder holds several scenes.
+        """
         if self.settings.model is not None:
             return inside(folder, self.settings.model, "the setting `model`")
         models = colmap_models(folder)
         if not models:
             return folder / "sparse" / "0"
+        scenes = {self._holder(folder, model) for model in models}
+        if len(scenes) > 1 and not colmap_models(folder, anywhere=False):
+            names = ", ".join(sorted(str(scene.relative_to(folder)) for scene in scenes))
+            raise SceneError(
+                f"the folder holds several scenes: {names}",
+                where=str(folder),
+                fix="give the folder of one of them, or set `model`",
+            )
         counts = {model: count_images(model) for model in models}
         chosen = max(models, key=lambda model: counts[model])
         if others := [model for model in models if model != chosen and counts[model]]:
@@ -113,9 +125,13 @@ class ColmapScene(SceneLoader[ColmapSettings]):
 
     def _image_folder(self, folder: Path, model: Path) -> Path:
         """Return the folder of the photographs, in the scene's folder or beside the model, as in dense/0."""
+        return self.settings.image_folder(self._holder(folder, model))
+
+    def _holder(self, folder: Path, model: Path) -> Path:
+        """Return the folder with a model's folders of photographs; the scene's if none has any."""
         places = [folder, *(place for place in model.parents if place.is_relative_to(folder))]
         holders = [place for place in places if any(place.glob("images*/"))]
-        return self.settings.image_folder([*holders, folder][0])
+        return [*holders, folder][0]
 
     def _split(self, names: list[str], model: Path) -> tuple[list[int], list[int], str]:
         """Return the indices of training and test views among the sorted names, and the rule."""

@@ -6,6 +6,7 @@ Credentials come from the environment or the user's own files, as the file syste
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from .keys import content_key
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.+)")
 """At least two characters before the colon: `C:/` is a drive."""
 _LOCAL = ("file", "local")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _STATES = ("size", "ETag", "etag", "md5", "mtime", "LastModified", "created")
 """What file systems say about a file that changes with its content."""
 
@@ -88,7 +90,7 @@ def _listing(url: str) -> tuple[Any, str, dict[str, str]]:
         if info.get("type") == "file" and not name.endswith("/")
     }
     if not files:
-        raise RunError("there is no such folder or file", where=url, fix="check the address")
+        raise RunError("nothing is stored at this address", where=url, fix="check the address")
     return system, root, files
 
 
@@ -104,6 +106,8 @@ def _explained(url: str) -> Iterator[None]:
             fix="for S3: pip install 'stereogs-plugins[remote]'",
         ) from error
     except Exception as error:
+        if getattr(error, "errno", None) in _FULL:  # of the cache, which says so
+            raise
         raise RunError(
             f"the data cannot be read: {type(error).__name__}: {error}",
             where=url,

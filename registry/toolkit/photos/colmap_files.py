@@ -137,7 +137,10 @@ def colmap_models(scene: Path, *, anywhere: bool = True) -> list[Path]:
 
 
 def _models_below(folder: Path, levels: int) -> Iterator[Path]:
-    children = sorted(folder.iterdir()) if levels and folder.is_dir() else []
+    children: list[Path] = []
+    if levels and folder.is_dir():
+        with suppress(PermissionError):
+            children = sorted(folder.iterdir())
     for child in children:
         if child.is_dir() and not (child.is_symlink() or child.name.startswith(".")):
             if _is_model(child):

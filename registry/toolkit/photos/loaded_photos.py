@@ -97,7 +97,7 @@ def usable_photos(
     beside = (path for folder in folders for path in list_images(folder))
     if others := sorted(path.name for path in beside if path not in known):
         _log.info(
-            "%d pictures have no camera and are not used, for example %s", len(others), others[0]
+            "pictures without a camera are not used: %d, for example %s", len(others), others[0]
         )
     distances = _distances([photos[index].world_to_camera for index in found])
     for index, distance in zip(found, distances, strict=True):

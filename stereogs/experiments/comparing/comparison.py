@@ -121,7 +121,7 @@ def read_run(path: Path) -> FinishedRun:
         if name.partition(".")[0] not in _NOT_TRAINED
     }
     if removed := sum(edit["removed"] for edit in results.get("edits", ())):
-        # By the hash a method of its own: no training gives these Gaussians.
+        # Each edit counts as a method, named by its hash: no pipeline produces these Gaussians.
         tree["edited"] = f"{removed:,} removed by hand ({results['hash'][:8]})"
     return FinishedRun(path, results, tree, _method(tree), run.inputs()[0] or {})
 

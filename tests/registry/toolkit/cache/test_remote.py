@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
@@ -83,7 +84,7 @@ def test_a_folder_is_copied_once_and_again_after_a_change(root: str) -> None:
     assert files(copy)["poses.npy"] == b"poses", "a run that uses it is not disturbed"
     one = local_copy(Path(f"{root}/scene/images/1.png"))
     assert (one.name, one.read_bytes()) == ("1.png", b"one")
-    with pytest.raises(RunError, match="no such folder"):
+    with pytest.raises(RunError, match="nothing is stored"):
         local_copy(Path(f"{root}/nothing"))
 
 
@@ -96,6 +97,21 @@ def test_a_name_that_leads_outside_is_refused(cache: Path) -> None:
     finally:
         del system.store["/bad/../../out.txt"]
     assert not list(cache.rglob("out.txt"))
+
+
+def test_a_full_disk_is_not_taken_for_a_fault_of_the_network(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    write("memory://lonely/a", b"a")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(type(fsspec.filesystem("memory")), "get_file", full)
+    with pytest.raises(RunError, match="needs the cache") as caught:
+        local_copy(Path("memory://lonely"))
+    assert "free space" in caught.value.fix
+    assert "No space left" in caplog.text
 
 
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
