@@ -158,7 +158,7 @@ class DeviceMemory:
             host = (over if over is not None else zeros(elements, dtype)).reshape(-1)
             flags |= cl.mem_flags.USE_HOST_PTR
             return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
-        except (cl.Error, RuntimeError) as error:
+        except (cl.Error, RuntimeError, MemoryError) as error:
             raise MemoryBudgetError(
                 f"the device {self.name!r} could not allocate {size / 2**20:,.0f} MB: {error}",
                 where=f"its memory is {self.memory_bytes / 2**20:,.0f} MB in total",

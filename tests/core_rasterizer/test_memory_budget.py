@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from pathlib import Path
 
 import pyopencl as cl
 import pytest
@@ -120,6 +121,20 @@ def test_an_allocation_failure_is_explained(
     with pytest.raises(MemoryBudgetError, match="could not allocate") as error:
         DeviceArray(device.as_discrete(), (16,))
     assert "in total" in error.value.where
+
+
+def test_host_memory_that_the_system_refuses_is_explained(device: Device) -> None:
+    resource = pytest.importorskip("resource", reason="Windows cannot limit address space")
+    if not Path("/proc/self/statm").exists():
+        pytest.skip("only Linux tells the address space in use")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, before[1]))
+    try:
+        with pytest.raises(MemoryBudgetError, match="could not allocate 256 MB"):
+            device.allocate(2**26, torch.float32, None)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def test_a_buffer_larger_than_the_driver_allows_is_refused_with_numbers(device: Device) -> None:
