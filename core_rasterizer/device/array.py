@@ -231,6 +231,11 @@ class Scratch:
         """The arrays of these names, for a launch."""
         return {name: self._arrays[name] for name in names}
 
+    @property
+    def all(self) -> tuple[DeviceArray, ...]:
+        """All arrays."""
+        return tuple(self._arrays.values())
+
     def __setitem__(self, name: str, array: DeviceArray) -> None:
         self._arrays[name] = array
 
