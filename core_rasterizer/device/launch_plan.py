@@ -44,12 +44,14 @@ class LaunchPlan:
         Raises:
             DeviceError: the driver rejected one.
         """
+        queue = device.queue
         with device.lock:
-            for launch in self._launches:
-                try:
-                    cl.enqueue_nd_range_kernel(device.queue, *launch)
-                except cl.Error as error:
-                    raise not_run(device, launch.kernel.function_name, error) from error
+            try:
+                for launch in self._launches:
+                    cl.enqueue_nd_range_kernel(queue, *launch)
+            except cl.Error as error:
+                raise not_run(device, launch.kernel.function_name, error) from error
+            finally:
                 device.retired.kernel_enqueued()
 
 
