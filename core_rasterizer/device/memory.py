@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..errors import DeviceError, MemoryBudgetError
+from .host_pool import zeros
 
 _contexts: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
 """One context for each device, whatever its variants: a GPU's driver refuses more when many are open."""
@@ -154,7 +155,7 @@ class DeviceMemory:
         try:
             if not self.shares_memory:
                 return cl.Buffer(self.context, flags, size=size), None
-            host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
+            host = (over if over is not None else zeros(elements, dtype)).reshape(-1)
             flags |= cl.mem_flags.USE_HOST_PTR
             return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
         except (cl.Error, RuntimeError) as error:

@@ -44,6 +44,9 @@ def cached(
         compute: Function that computes the estimate; called without gradients.
         pictures: Function that returns images of the estimate, by file name without suffix.
     """
+    name = prior.context.name
+    if Cache(name).folder is None:
+        return _computed(compute)
     origin = identity(prior)
     key = content_key(
         origin,
@@ -52,18 +55,23 @@ def cached(
         *(view.weights for view in views if view.weights is not None),
         *(part for view in views for part in (view.camera.world_to_camera, view.camera.intrinsics)),
     )
-    name = prior.context.name
     found = load_estimate(name, key)
     if found is None:
-        import torch
+        from torch import Tensor
 
-        with torch.no_grad():
-            found = {label: tensor.contiguous() for label, tensor in compute().items()}
-        words = [str(argument) for argument in arguments if not isinstance(argument, torch.Tensor)]
+        found = _computed(compute)
+        words = [str(argument) for argument in arguments if not isinstance(argument, Tensor)]
         facts = {"views": list(map(stem, views)), "question": words}
         if identity(prior) == origin:  # else `compute` opened a model, which the key lacks
             save_estimate(name, key, found, pictures(found), facts)
     return found
+
+
+def _computed(compute: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+    import torch
+
+    with torch.no_grad():
+        return {label: tensor.contiguous() for label, tensor in compute().items()}
 
 
 def identity(prior: Prior[Any]) -> str:

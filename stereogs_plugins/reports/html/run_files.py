@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -41,7 +42,7 @@ class RunFiles:
     initialization: dict[str, Any]
     initial_pictures: tuple[Path, ...]
 
-    @property
+    @cached_property
     def training(self) -> dict[str, Any]:
         """The pipeline's training settings, or an empty mapping."""
         content = yaml.safe_load(self.pipeline)
