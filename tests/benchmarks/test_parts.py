@@ -55,13 +55,6 @@ def test_every_table_has_its_rows_on_its_scenes_and_shares_runs() -> None:
     }
 
 
-def test_runs_are_sorted_by_seed() -> None:
-    runs = planned_runs([EIGHT, TERM_TABLE], PLUGINS, seeds=(0, 1))
-    assert [run.seed for run in runs] == sorted(run.seed for run in runs)
-    eight = [run.seed for run in runs if EIGHT.title in labels(run)]
-    assert eight.count(0) == eight.count(1) == 8 * len(EIGHT.cases)
-
-
 def test_the_digest_does_not_depend_on_the_location_of_the_data(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -77,6 +70,13 @@ def test_the_digest_does_not_depend_on_the_location_of_the_data(
 def planned() -> list[PartsTraining]:
     """The runs of the first two tables and of the objects, of every seed."""
     return planned_runs([EIGHT, TERM_TABLE, OBJECTS], PLUGINS)
+
+
+def test_runs_are_sorted_by_seed() -> None:
+    runs = planned()
+    assert [run.seed for run in runs] == sorted(run.seed for run in runs)
+    eight = [run.seed for run in runs if EIGHT.title in labels(run)]
+    assert eight.count(0) == eight.count(1) == 8 * len(EIGHT.cases)
 
 
 def records_of(psnr: dict[str, float]) -> list[Record[PartsTraining]]:

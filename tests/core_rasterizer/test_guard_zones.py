@@ -23,8 +23,7 @@ from core_rasterizer import (
     rasterize,
 )
 from core_rasterizer.device import DeviceArray
-from core_rasterizer.raster import Renderer, RenderRequest
-from core_rasterizer.raster.renderer import PAIRS_AT_FIRST
+from core_rasterizer.raster import Renderer, RenderRequest, renderer
 from tests.core_rasterizer.guarded import PATTERNS, GuardedDevice
 from tests.core_rasterizer.options import all_options, posed
 from tests.core_rasterizer.quick_device import QuickDevice
@@ -134,12 +133,17 @@ def test_small_and_huge_gaussians_at_tile_edges(
     same_inside_zones(device, lambda on: rendered(tensors, camera, on))
 
 
-def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
+def test_the_list_of_pairs_overflows_and_grows(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """More pairs than the initial capacity; then a small render in the large buffers."""
+    first = 1 << 11
+    monkeypatch.setattr(renderer, "PAIRS_AT_FIRST", first)
+    device = device.as_variant(device.variant)  # its lists have not grown
     generator = torch.Generator().manual_seed(1)
     width, height = 300, 200
     tile_width, tile_height = Renderer(device).programs.tile
-    count = int(1.3 * PAIRS_AT_FIRST / (-(-width // tile_width) * -(-height // tile_height)))
+    count = int(1.3 * first / (-(-width // tile_width) * -(-height // tile_height)))
     large, small = random_scene(generator, count, sh_degree=0), random_scene(generator, 5)
     large.scales[:] = 40.0
     large.opacities[:] = 0.005
@@ -149,7 +153,7 @@ def test_the_list_of_pairs_overflows_and_grows(device: Device) -> None:
     )
     model = GaussianModel(gaussians, device)
     lease = model.renderer.forward(model.block, RenderRequest(wide, (0.0, 0.0, 0.0), 0))[-1]
-    assert lease.frame.pairs > PAIRS_AT_FIRST
+    assert lease.frame.pairs > first
     tensors = large.tensors(torch.float32), small.tensors(torch.float32)
 
     def work(on: Device) -> list[Tensor]:

@@ -90,6 +90,8 @@ def test_the_same_scene_gives_the_same_bits(device: Device) -> None:
 
 
 def test_both_raster_variants_agree(device: Device) -> None:
+    if device.kind == "cpu" and device.variant == "gpu":
+        pytest.skip("compared with the other variant of this device")
     generator = torch.Generator().manual_seed(4)
     scene, camera = random_scene(generator, 800), random_camera(generator, 180, 130)
     leaves = scene.tensors()

@@ -86,6 +86,7 @@ def test_it_installs_and_keeps_the_contract(kind: str, installed: Plugins) -> No
     )
 
 
+@pytest.mark.proof
 def test_its_pipeline_uses_it(written: Path, installed: Plugins) -> None:
     for kind, point in POINTS.items():
         name = NAMES[kind]
@@ -95,17 +96,23 @@ def test_its_pipeline_uses_it(written: Path, installed: Plugins) -> None:
 
 
 def test_a_command_installs_and_keeps_the_contract(
-    installed: Plugins, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    written: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    name = NAMES[COMMAND]
-    verb = verbs()[name]
-    assert verb.summary == "print the number of files in a folder"
-    check_command(type(verb.load()))
-    (tmp_path / "one").touch()
-    assert main([name, str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "1\n"
-    assert main([name, str(tmp_path / "one")]) == 2
-    assert "not a folder" in capsys.readouterr().err
+    name, files = NAMES[COMMAND], tmp_path / "files"
+    site = install([written / folder_of(COMMAND)], tmp_path)
+    files.mkdir()
+    (files / "one").touch()
+    with importable(site, monkeypatch):
+        verb = verbs()[name]
+        assert verb.summary == "print the number of files in a folder"
+        check_command(type(verb.load()))
+        assert main([name, str(files)]) == 0
+        assert capsys.readouterr().out == "1\n"
+        assert main([name, str(files / "one")]) == 2
+        assert "not a folder" in capsys.readouterr().err
 
 
 def test_what_is_written_is_well_formatted(written: Path) -> None:
