@@ -119,12 +119,17 @@ def stages(
     profiling = cl.command_queue_properties.PROFILING_ENABLE
     device.queue = cl.CommandQueue(device.context, properties=profiling)
     workload, run = Workload(count, device, *size), Program.run
+    enqueue = cl.enqueue_nd_range_kernel
     work(workload)
 
     def kept(program: Program, kernel: str, *size: Any, **arguments: Any) -> None:
         events.append((kernel, run(program, kernel, *size, **arguments)))
 
-    with patch.object(Program, "run", kept):
+    def kept_of_plan(queue: Any, kernel: cl.Kernel, *size: Any) -> None:
+        events.append((kernel.function_name, enqueue(queue, kernel, *size)))
+
+    planned = patch.object(cl, "enqueue_nd_range_kernel", kept_of_plan)
+    with patch.object(Program, "run", kept), planned:
         for _ in range(repeats):
             work(workload)
     totals: dict[str, float] = {}

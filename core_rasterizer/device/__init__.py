@@ -5,6 +5,7 @@ from .array import DeviceArray, Scratch
 from .choice import Description, choose
 from .device import Device, Kind, list_devices, open_device
 from .host_pool import host_pool
+from .launch_plan import Launch, LaunchPlan
 from .profile import DeviceProfile, Variant
 from .program import KernelText, Program
 from .trial import Trial, described, tried
@@ -17,6 +18,8 @@ __all__ = [
     "DeviceProfile",
     "KernelText",
     "Kind",
+    "Launch",
+    "LaunchPlan",
     "Program",
     "Scratch",
     "Trial",

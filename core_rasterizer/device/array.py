@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from .host_pool import host_pool
@@ -53,6 +54,7 @@ class DeviceArray:
         # OpenCL has no empty buffers.
         self._elements = max(1, math.prod(shape))
         self.buffer, self._host = device.allocate(self._elements, dtype, over)
+        self._copy: tuple[Tensor, NDArray[Any]] | None = None
         if self._host is None and zeroed:
             self.fill(0)
 
@@ -166,16 +168,19 @@ class DeviceArray:
 
         Returns:
             A function that waits for this read, not for work enqueued later, and returns the contents
-            like `read`.
+            like `read`, in memory that the next call of `begin_reading` uses again.
         """
         mapped: Any = None
         if self._host is not None:
             host = self._host.reshape(self.shape)
             mapped, event = self._enqueue_map(cl.map_flags.READ)
         else:
-            host = torch.empty(self.shape, dtype=self.dtype)
-            event = cl.enqueue_copy(self.device.queue, host.numpy(), self.buffer, is_blocking=False)
-            self.device.bytes_moved += host.nbytes
+            if self._copy is None:
+                empty = torch.empty(self.shape, dtype=self.dtype)
+                self._copy = empty, empty.numpy()
+            host, memory = self._copy
+            event = cl.enqueue_copy(self.device.queue, memory, self.buffer, is_blocking=False)
+            self.device.bytes_moved += memory.nbytes
         self.device.queue.flush()
 
         def result() -> Tensor:
@@ -230,6 +235,11 @@ class Scratch:
     def named(self, *names: str) -> dict[str, DeviceArray]:
         """The arrays of these names, for a launch."""
         return {name: self._arrays[name] for name in names}
+
+    @property
+    def all(self) -> tuple[DeviceArray, ...]:
+        """All arrays."""
+        return tuple(self._arrays.values())
 
     def __setitem__(self, name: str, array: DeviceArray) -> None:
         self._arrays[name] = array

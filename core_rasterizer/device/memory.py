@@ -32,7 +32,7 @@ class Retired:
         return len(self._kept)
 
     def kernel_enqueued(self) -> None:
-        """Count a kernel. Call this after enqueueing it, while its arguments are still referenced."""
+        """Count kernels. Call this after enqueueing them, while their arguments are still referenced."""
         self._enqueued += 1
 
     def copy_enqueued(self, source: object) -> None:

@@ -14,6 +14,7 @@ from ..errors import DeviceError
 from ..layout import KERNEL_HEADER
 from .array import DeviceArray
 from .drivers import INTEL
+from .launch_plan import Launch, not_run
 from .memory import DeviceMemory
 from .signature import signatures
 
@@ -32,7 +33,7 @@ class KernelText:
 
 
 class Program:
-    """Kernels built from one set of sources; each `cl.Kernel` is created once."""
+    """Kernels built from one set of sources."""
 
     def __init__(
         self,
@@ -57,7 +58,7 @@ class Program:
                 where=f"{device.platform}, driver {device.driver}\n{str(error)[:2000]}",
                 fix=_fix(str(error), own_text=bool(texts)),
             ) from error
-        self._device = device
+        self._device, self._program = device, program
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
         real = np.float64 if macros["REAL_IS_DOUBLE"] else np.float32
         self._signatures = signatures(text, real)
@@ -93,11 +94,22 @@ class Program:
                 device.retired.kernel_enqueued()
                 return event
         except cl.Error as error:
-            raise DeviceError(
-                f"the device {device.name!r} could not run the kernel {kernel}: {error}",
-                where=f"{device.platform}, driver {device.driver}",
-                fix="choose another device; `stereogs doctor` tests them",
-            ) from error
+            raise not_run(device, kernel, error) from error
+
+    def prepare(
+        self,
+        kernel: str,
+        global_size: tuple[int, ...],
+        local_size: tuple[int, ...] | None,
+        /,
+        **arguments: DeviceArray | float | np.generic,
+    ) -> Launch:
+        """Return a launch with a kernel object of its own, for a `LaunchPlan`; arguments as for `run`."""
+        signature, own = self._signatures[kernel], cl.Kernel(self._program, kernel)
+        values = zip(signature.values(arguments), signature.types, strict=True)
+        for position, (value, number) in enumerate(values):
+            own.set_arg(position, value if number is None else number(value))
+        return Launch(own, global_size, local_size)
 
 
 def _source(name: str | KernelText) -> str:

@@ -282,8 +282,8 @@ class _Workspace:
                 gradient,
                 scales,
             )
-            l1, dissimilarity = map(float, self._kernels.sums.read().double().sum(dim=0) / values)
-        return l1_weight * l1 + ssim_weight * dissimilarity
+            sums: list[float] = self._kernels.sums.read().sum(dim=0, dtype=torch.float64).tolist()
+        return l1_weight * (sums[0] / values) + ssim_weight * (sums[1] / values)
 
     def _sent(self, values: Tensor) -> DeviceArray:
         if self._device.shares_memory:

@@ -6,7 +6,7 @@ import weakref
 
 import torch
 
-from ..device import Device, Scratch
+from ..device import Device, LaunchPlan, Scratch
 from .images import Coverage, Images
 from .request import RenderRequest
 
@@ -16,6 +16,8 @@ class Frame:
 
     def __init__(self, device: Device) -> None:
         self.arrays = Scratch(device)
+        self.lists = LaunchPlan()
+        """Builds the lists of this frame."""
         self.request: RenderRequest
         self.tiles = (0, 0)
         self.pair_limit = 0

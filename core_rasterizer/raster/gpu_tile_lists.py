@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import torch
 
-from ..device import Device, DeviceArray, Program
+from ..device import Device, DeviceArray, Launch, Program
 from ..layout import COUNTERS
 from .frame import Frame
 from .tile_lists import TileLists
@@ -67,7 +67,9 @@ class GpuTileLists(TileLists):
             "totals": (torch.int64, self._group),
         }
 
-    def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+    def _launches(
+        self, program: Program, frame: Frame, count: int, pair_capacity: int
+    ) -> Iterator[Launch]:
         bits = max(1, (frame.tiles[0] * frame.tiles[1] - 1).bit_length())
         passes = -(-bits // self._profile.digit_bits)
         bits = -(-bits // passes)
@@ -80,16 +82,16 @@ class GpuTileLists(TileLists):
         for number, (keys, order, out) in enumerate(depths):
             arrays = self._to_sort(keys, order, f"keys_{out}", f"order_{out}")
             of = _VISIBLE if number else _ALL
-            self._sort(program, arrays, counters, of, count, number, digit_bits)
-        self._emit(program, frame, count, pair_capacity)
+            yield from self._sort(program, arrays, counters, of, count, number, digit_bits)
+        yield from self._emit(program, frame, count, pair_capacity)
         sides = ("a", "b")
         for number in range(passes):
             here, there = sides[number % 2], sides[(number + 1) % 2]
             names = (f"tiles_{here}", f"slots_{here}", f"tiles_{there}", f"slots_{there}")
             arrays = self._to_sort(*names)
-            self._sort(program, arrays, counters, _PAIRS, pair_capacity, number, bits)
+            yield from self._sort(program, arrays, counters, _PAIRS, pair_capacity, number, bits)
         last = sides[passes % 2]
-        self._run(
+        yield self._prepare(
             program,
             "finish_lists",
             self._chunks_for(pair_capacity),
@@ -116,7 +118,7 @@ class GpuTileLists(TileLists):
         limit: int,
         number: int,
         bits: int,
-    ) -> None:
+    ) -> Iterator[Launch]:
         """One pass of a radix sort.
 
         Args:
@@ -137,14 +139,20 @@ class GpuTileLists(TileLists):
             "shift": number * bits,
             "digits": 1 << bits,
         }
-        self._run(program, "count_digits", chunks, keys=arrays["keys"], **shared)
+        yield self._prepare(program, "count_digits", chunks, keys=arrays["keys"], **shared)
         scanned: dict[str, DeviceArray | float] = {"totals": totals, "run_bits": runs.bits}
         entries = chunks << bits
-        self._run(program, "scan_runs", runs.number, table=counts, entries=entries, **scanned)
+        yield self._prepare(
+            program, "scan_runs", runs.number, table=counts, entries=entries, **scanned
+        )
         place = {"first": number == 0, "runs": runs.number}
-        self._run(program, "scatter_digits", chunks, **arrays, **shared, **scanned, **place)
+        yield self._prepare(
+            program, "scatter_digits", chunks, **arrays, **shared, **scanned, **place
+        )
 
-    def _emit(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+    def _emit(
+        self, program: Program, frame: Frame, count: int, pair_capacity: int
+    ) -> Iterator[Launch]:
         """Write tile and Gaussian of every pair, in the order of slots, and count them."""
         # Long thin Gaussians have many more candidates than pairs: let at least every unit take part.
         units = min(self._profile.max_list_chunks, self._device.compute_units)
@@ -156,10 +164,10 @@ class GpuTileLists(TileLists):
             "counters": frame.arrays["counters"],
             "run_bits": runs.bits,
         }
-        self._run(program, "scan_candidates", runs.number, **shared, pair_chunks=chunks)
+        yield self._prepare(program, "scan_candidates", runs.number, **shared, pair_chunks=chunks)
         shared |= {"records": frame.arrays["records"], "runs": runs.number}
-        self._run(program, "count_pairs", chunks, **shared, pair_limit=frame.pair_limit)
-        self._run(
+        yield self._prepare(program, "count_pairs", chunks, **shared, pair_limit=frame.pair_limit)
+        yield self._prepare(
             program,
             "emit_pairs",
             chunks,
@@ -171,5 +179,5 @@ class GpuTileLists(TileLists):
             pair_capacity=pair_capacity,
         )
 
-    def _run(self, program: Program, kernel: str, chunks: int, /, **arguments: Any) -> None:
-        program.run(kernel, (chunks * self._group,), (self._group,), **arguments)
+    def _prepare(self, program: Program, kernel: str, chunks: int, /, **arguments: Any) -> Launch:
+        return program.prepare(kernel, (chunks * self._group,), (self._group,), **arguments)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import torch
 
-from ..device import Device, DeviceArray, Program, Scratch
+from ..device import Device, DeviceArray, Launch, Program, Scratch
 from ..layout import COUNTERS
 from .frame import Frame
+
+_OF_FRAME = ("records", "tile_starts", "pairs", "slot_start", "slot_count", "counters")
+"""Arrays of a frame that the lists are built in."""
 
 
 class TileLists(ABC):
@@ -61,12 +64,23 @@ class TileLists(ABC):
             self._bytes_for = (capacity, tiles), needed
         return self._bytes_for[1]
 
-    @abstractmethod
     def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
         """Fill `frame.arrays["pairs"]`, unless it is too small for all pairs.
 
         Writes the numbers of visible Gaussians and of pairs to `frame.arrays["counters"]`.
         """
+        numbers = count, pair_capacity, frame.pair_limit, frame.tiles
+        arrays = frame.arrays.named(*_OF_FRAME).values()
+        if not frame.lists.is_for(program, *numbers, *arrays, *self._scratch.all):
+            launches = tuple(self._launches(program, frame, count, pair_capacity))
+            frame.lists.prepare(launches, program, *numbers, *arrays, *self._scratch.all)
+        frame.lists.enqueue(self._device)
+
+    @abstractmethod
+    def _launches(
+        self, program: Program, frame: Frame, count: int, pair_capacity: int
+    ) -> Iterator[Launch]:
+        """What `build` enqueues; may reserve more scratch memory."""
 
     @abstractmethod
     def _sizes(self, capacity: int, tiles: int) -> dict[str, tuple[torch.dtype, int]]:
@@ -98,16 +112,18 @@ class CpuTileLists(TileLists):
         }
         return {name: (torch.int32, elements) for name, elements in sizes.items()}
 
-    def build(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+    def _launches(
+        self, program: Program, frame: Frame, count: int, pair_capacity: int
+    ) -> Iterator[Launch]:
         if count <= self._profile.few:
-            self._build_alone(program, frame, count, pair_capacity)
+            yield self._alone(program, frame, count, pair_capacity)
         else:
-            self._sort(program, frame, count)
-            self._bin(program, frame, pair_capacity)
+            yield from self._sort(program, frame, count)
+            yield from self._bin(program, frame, pair_capacity)
 
-    def _build_alone(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> None:
+    def _alone(self, program: Program, frame: Frame, count: int, pair_capacity: int) -> Launch:
         arrays, scratch = frame.arrays, self._scratch
-        program.run(
+        return program.prepare(
             "lists_of_few",
             (1,),
             (1,),
@@ -121,7 +137,7 @@ class CpuTileLists(TileLists):
             pair_capacity=pair_capacity,
         )
 
-    def _sort(self, program: Program, frame: Frame, count: int) -> None:
+    def _sort(self, program: Program, frame: Frame, count: int) -> Iterator[Launch]:
         """Write the visible Gaussians, nearest first, to the scratch array `order_a`."""
         scratch, counters = self._scratch, frame.arrays["counters"]
         counts, totals = scratch["counts"], scratch["totals"]
@@ -135,9 +151,9 @@ class CpuTileLists(TileLists):
                 "shift": number * self._profile.digit_bits,
                 "first": number == 0,
             }
-            self._run_chunks(program, "count_digits", **shared)
-            self._scan(program, counts, totals, self._buckets, counters, "visible")
-            self._run_chunks(
+            yield self._on_chunks(program, "count_digits", **shared)
+            yield from self._scan(program, counts, totals, self._buckets, counters, "visible")
+            yield self._on_chunks(
                 program,
                 "scatter_digits",
                 **shared,
@@ -147,7 +163,7 @@ class CpuTileLists(TileLists):
                 starts=totals,
             )
 
-    def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> None:
+    def _bin(self, program: Program, frame: Frame, pair_capacity: int) -> Iterator[Launch]:
         arrays, scratch = frame.arrays, self._scratch
         counters, counts = arrays["counters"], scratch["counts"]
         tiles = frame.tiles[0] * frame.tiles[1]
@@ -160,12 +176,12 @@ class CpuTileLists(TileLists):
             "tiles_x": frame.tiles[0],
         }
         limit = frame.pair_limit
-        self._run_chunks(
+        yield self._on_chunks(
             program, "count_tiles", **shared, chunk_pairs=chunk_pairs, pair_limit=limit
         )
-        self._scan(program, counts, arrays["tile_starts"], tiles, counters, "listed")
-        self._scan_buckets(program, chunk_pairs, self._chunks, counters, "pairs")
-        self._run_chunks(
+        yield from self._scan(program, counts, arrays["tile_starts"], tiles, counters, "listed")
+        yield self._scan_buckets(program, chunk_pairs, self._chunks, counters, "pairs")
+        yield self._on_chunks(
             program,
             "fill_tiles",
             **shared,
@@ -182,9 +198,9 @@ class CpuTileLists(TileLists):
         buckets: int,
         counters: DeviceArray,
         counter: str,
-    ) -> None:
+    ) -> Iterator[Launch]:
         group = self._profile.scan_group
-        program.run(
+        yield program.prepare(
             "scan_chunks",
             (-(-buckets // group) * group,),
             (group,),
@@ -193,7 +209,7 @@ class CpuTileLists(TileLists):
             buckets=buckets,
             chunks=self._chunks,
         )
-        self._scan_buckets(program, totals, buckets, counters, counter)
+        yield self._scan_buckets(program, totals, buckets, counters, counter)
 
     def _scan_buckets(
         self,
@@ -202,8 +218,8 @@ class CpuTileLists(TileLists):
         buckets: int,
         counters: DeviceArray,
         counter: str,
-    ) -> None:
-        program.run(
+    ) -> Launch:
+        return program.prepare(
             "scan_buckets",
             (1,),
             (1,),
@@ -213,5 +229,5 @@ class CpuTileLists(TileLists):
             counter=COUNTERS.first[counter],
         )
 
-    def _run_chunks(self, program: Program, kernel: str, /, **arguments: Any) -> None:
-        program.run(kernel, (self._chunks,), (1,), **arguments)
+    def _on_chunks(self, program: Program, kernel: str, /, **arguments: Any) -> Launch:
+        return program.prepare(kernel, (self._chunks,), (1,), **arguments)

@@ -17,6 +17,7 @@ from core_rasterizer import ExplainedError
 
 from ..errors import RunError
 from ..messages.visible_text import visible, without_credentials
+from ..pipeline.protocols import scored
 from ..pipeline.settings_check import recorded
 from ..system.files import jsonable
 
@@ -138,7 +139,10 @@ class HandEdit(Record):
 
 
 class Results(Record):
-    """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has."""
+    """Contents of the file, in order. A file may lack fields; `model_fields_set` holds those it has.
+
+    `train_scored` is the number of training views that were scored, if they were not all (`scored`).
+    """
 
     pipeline: Name = "unnamed"
     protocol: Annotated[dict[str, Any], AfterValidator(_checked_protocol)] | None = None
@@ -162,6 +166,7 @@ class Results(Record):
     test: ScoresByMetric = {}
     train: ScoresByMetric = {}
     views: ViewScores = ViewScores()
+    train_scored: Count = 0
     unavailable: dict[Name, str] = {}
     infinite: dict[Name, dict[Name, list[Name]]] = {}
     failures: list[Failure] = []
@@ -244,6 +249,8 @@ def add_scores(results: Results, test: Scores, train: Scores) -> None:
     results.train = jsonable(train.mean)
     results.views = ViewScores(test=jsonable(test.views), train=jsonable(train.views))
     results.unavailable = {**train.unavailable, **test.unavailable}
+    if results.scene is not None and len(train.views) < len(results.scene.train):
+        results.train_scored = len(train.views)
     results.infinite = {"test": test.infinite, "train": train.infinite}
     failures = {**train.failures, **test.failures}
     results.failures = [Failure.of(name, error) for name, error in failures.items()]
@@ -308,9 +315,12 @@ def _problems(results: Results, content: Any) -> Iterator[str]:
     for text in _texts(content):
         if visible(text) != text:
             yield f"the text {text[:100]!r} has control characters"
-    for split in ("train", "test"):
+    scene = results.scene or SceneRecord(name="none")
+    some = scored(scene.train, scene.test) if results.train_scored else scene.train
+    if results.train_scored not in (0, len(some)):
+        yield f"train_scored is {results.train_scored}, not {len(some)}"
+    for split, named in (("train", some), ("test", scene.test)):
         rows: dict[str, ScoresByMetric] = getattr(results.views, split)
-        named: list[str] = getattr(results.scene, split, [])
         if named and "views" in results.model_fields_set and list(rows) != named:
             yield f"views.{split} are not the scene's {split} views"
         if rows:

@@ -25,6 +25,7 @@ from ..contract.scene import Scene
 from ..discovery import CONFIDENCE, Plugins
 from ..pipeline.parts import Parts, build_part
 from ..pipeline.pipeline import Pipeline
+from ..pipeline.protocols import scored
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
@@ -179,7 +180,7 @@ class TrainedScene:
 
     @one_torch_thread()
     def evaluate(self, pictures: Path | None = None) -> dict[str, Scores]:
-        """Render and score all views; draw the test views, or if there are none the others, into a folder."""
+        """Render and score views (`scored`); draw the test views, or if none the others, into a folder."""
         begin = monotonic()
         scene, metrics = self.framed, self.parts["metrics"]
         of_train = None if scene.test else pictures
@@ -189,7 +190,7 @@ class TrainedScene:
             for part in asking:
                 with part.at_work():
                     part.component.begin_scoring(trained)
-        views = tracked([*scene.test, *scene.train], "scoring")
+        views = tracked([*scene.test, *scored(scene.train, scene.test)], "scoring")
         test = islice(views, len(scene.test))
         scores = {
             "test": evaluate(self.engine_model, scene, test, metrics, pictures, repeat=True),

@@ -159,8 +159,9 @@ class Field:
         )
         for part in self.parts.due("samplers", iteration):
             sample = self.call(part, self._step.sample)
-            render = step_renderer(self.model, sample)
-            self._step = replace(self._step, sample=sample, render=render)
+            if sample is not self._step.sample:
+                render = step_renderer(self.model, sample)
+                self._step = replace(self._step, sample=sample, render=render)
         # Adam steps the SH bands in use, and one that fades in.
         self._bands = ceil(self._step.sample.sh_degree)
 

@@ -78,7 +78,8 @@ def results_table(results: dict[str, Any]) -> Table:
     table.add_section()
     for split in ("test", "train"):
         if results[split]:
-            table.add_row(f"{split} mean", *cells(split))
+            some = results.get("train_scored") if split == "train" else None
+            table.add_row(f"{split} mean" + (f" of {some}" if some else ""), *cells(split))
     return table
 
 

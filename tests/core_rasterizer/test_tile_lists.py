@@ -23,7 +23,7 @@ from core_rasterizer import (
     list_devices,
     photometric_loss,
 )
-from core_rasterizer.device import DeviceProfile
+from core_rasterizer.device import DeviceProfile, Launch, Program
 from core_rasterizer.layout import COUNTERS, GAUSSIAN
 from core_rasterizer.raster import Renderer, RenderRequest, gpu_tile_lists
 from tests.core_rasterizer.scenes import parameters, random_camera, rates, view
@@ -255,3 +255,32 @@ def test_a_gpu_makes_the_lists_of_a_cpu_and_no_work_item_takes_long(
     pairs = (share // 256 + 1) * (2 + 48 + 6 + math.log2(len(scene[0])))
     assert 300 < steps <= max(sorting, pairs), steps
     assert steps <= sorting or make is needles
+
+
+def test_lists_are_prepared_once_while_nothing_changes(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a change of the image's size or of the Gaussians they are prepared again."""
+    generator = torch.Generator().manual_seed(0)
+    camera = random_camera(generator, 64, 48)
+    smaller = camera.resized(40, 30)
+    model, prepared = GaussianModel(parameters(40), device), list[str]()
+    prepare = Program.prepare
+
+    def counted(program: Program, kernel: str, *sizes: Any, **arguments: Any) -> Launch:
+        prepared.append(kernel)
+        return prepare(program, kernel, *sizes, **arguments)
+
+    monkeypatch.setattr(Program, "prepare", counted)
+
+    def lists_prepared(at: Camera) -> bool:
+        prepared.clear()
+        image, again = model.render(at).rgb.clone(), bool(prepared)
+        assert torch.equal(image, GaussianModel(model.gaussians(), device).render(at).rgb)
+        return again
+
+    first = [lists_prepared(at) for at in (camera, camera, smaller, smaller)]
+    assert first == [True, False, True, False]
+    edit = Edit(prune=torch.arange(40) == 3)
+    apply_edit(model, Adam(model), edit, generator)
+    assert [lists_prepared(smaller) for _ in range(2)] == [True, False]

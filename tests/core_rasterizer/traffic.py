@@ -81,7 +81,14 @@ def _count_kernels(patch: pytest.MonkeyPatch, traffic: Traffic) -> None:
         traffic.kernels[kernel.function_name] += 1
         return call(kernel, *arguments, **options)
 
+    again = cl.enqueue_nd_range_kernel
+
+    def launch_again(queue: Any, kernel: cl.Kernel, *sizes: Any) -> Any:
+        traffic.kernels[kernel.function_name] += 1
+        return again(queue, kernel, *sizes)
+
     patch.setattr(cl.Kernel, "__call__", launch)
+    patch.setattr(cl, "enqueue_nd_range_kernel", launch_again)
 
 
 def _count_waits(patch: pytest.MonkeyPatch, traffic: Traffic) -> None:

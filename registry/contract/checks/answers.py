@@ -108,7 +108,10 @@ def check_sample(sample: Any, step: Step, given: Sample) -> Sample:
             "the sample has another view, but the weights of the one before",
             fix="replace both: `weights=view.weights`",
         )
-    numbers = [float(_instance("the background", n, Real, "numbers")) for n in checked.background]
+    numbers = [
+        n if type(n) is float else float(_instance("the background", n, Real, "numbers"))
+        for n in checked.background
+    ]
     if len(numbers) != 3 or not all(0 <= number <= 1 for number in numbers):
         raise PluginError(f"the background is {numbers}, expected three numbers in [0, 1]")
     if not (math.isfinite(checked.sh_degree) and checked.sh_degree >= 0):

@@ -37,7 +37,7 @@ def summary(results: Mapping[str, Any]) -> str:
         if any(score_of(results, split, name) is not None for split in _KINDS)
     ]
     rows = [
-        [Cell(f"{kind} ({len(results['views'][split])})"), *_cells(results, split, metrics)]
+        [Cell(f"{kind} ({_counted(results, split)})"), *_cells(results, split, metrics)]
         for split, kind in _KINDS.items()
         if results[split]
     ]
@@ -45,6 +45,13 @@ def summary(results: Mapping[str, Any]) -> str:
     costs = {label: results[key] for key, label in _COSTS.items() if key in results}
     notes = "".join(note(f"{name} is not available: {reason}") for name, reason in missing.items())
     return means + notes + facts_table(costs)
+
+
+def _counted(results: Mapping[str, Any], split: str) -> str:
+    count = str(len(results["views"][split]))
+    if split == "train" and results.get("train_scored"):
+        return f"{count} of {len(results['scene'][split])}, evenly spaced"
+    return count
 
 
 def views(results: Mapping[str, Any]) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +15,18 @@ import torch
 from rich.console import Console
 
 from core_rasterizer import Device
-from registry import RunError, SceneError, Unavailable
+from registry import RunError, Scene, SceneError, Unavailable
 from registry.runs.folder import RunFolder
 from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
 from registry.runs.outputs import renew
-from registry.runs.results import score_of
+from registry.runs.results import read_results, score_of
 from registry.runs.run import Run
 from registry.runs.training_run import continue_run, start_run
+from stereogs_plugins.reports.html import HtmlReport
 from tests.host import FAILED, Plugins, conclude, parse_pipeline, read_checkpoint, write_checkpoint
-from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport
+from tests.registry.toy_plugin import ToyExporter, ToyPoints, ToyPsnr, ToyReport, ToyScene
+from tests.stereogs_plugins.building import build
 
 TEXT = """\
 name: toy
@@ -124,6 +128,34 @@ def test_an_infinite_score_is_null_and_its_views_are_listed(
         "train": {"psnr": ["view0", "view2"]},
     }
     assert results["failures"] == []
+
+
+def test_of_many_training_views_evenly_spaced_ones_are_scored(
+    train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = ToyScene.load
+
+    def many(self: ToyScene) -> Scene:
+        scene = load(self)
+        view, count = scene.train[0], 96
+        cameras = [view.camera.shifted_right(0.001 * k) for k in range(count)]
+        views = [replace(view, name=f"{k:02}", camera=cameras[k]) for k in range(count)]
+        return replace(scene, train=tuple(views))
+
+    monkeypatch.setattr(ToyScene, "load", many)
+    run = train()
+    path = run.folder_or_refuse().path / "results.json"
+    results = read_results(path)
+    assert results["train_scored"] == 48
+    assert list(results["views"]["train"]) == [f"{k:02}" for k in range(0, 96, 2)]
+    said = io.StringIO()
+    assert conclude(run, Console(file=said)) == 0
+    assert "train mean of 48" in said.getvalue()
+    (page,) = build(HtmlReport).write(path.parent, run.scene)
+    assert "training photographs (48 of 96, evenly spaced)" in page.read_text("utf-8")
+    path.write_text(json.dumps({**results, "train_scored": 0}), "utf-8")
+    with pytest.raises(RunError, match=r"views\.train are not the scene's"):
+        read_results(path)
 
 
 def test_a_score_may_be_missing_in_one_view_and_infinite_in_another(

@@ -93,6 +93,7 @@ FORGED: dict[str, tuple[str, Any]] = {
     "memory that is text": ("peak_memory_mb", "500"),
     "a hash of another length": ("hash", "0123"),
     "a hash with other letters": ("hash", "x" * 64),
+    "another number of scored views": ("train_scored", 3),
     "a reason that is a number": ("unavailable/lpips", 3),
     "exports that are text": ("exports", "scene.ply"),
 }
