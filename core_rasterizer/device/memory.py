@@ -74,6 +74,7 @@ class DeviceMemory:
 
     Attributes:
         name, platform, driver: as reported by the driver.
+        is_cpu: whether it is a CPU.
         memory_bytes: size of the device's memory.
         buffer_bytes: size of the largest buffer that the driver allocates.
         shares_memory: If True, device buffers are host memory, which torch accesses without a copy.
@@ -87,6 +88,7 @@ class DeviceMemory:
         self.name = handle.name.strip()
         self.platform = handle.platform.name.strip()
         self.driver = handle.driver_version.strip()
+        self.is_cpu = bool(handle.type & cl.device_type.CPU)
         self.memory_bytes = int(handle.global_mem_size)
         self.buffer_bytes = int(handle.max_mem_alloc_size)
         self.shares_memory = shares_memory

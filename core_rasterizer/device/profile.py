@@ -44,7 +44,6 @@ class DeviceProfile:
         sweep_group: work-items per group of the ZNCC sweep, one per plane.
         sweep_planes: planes of a work-item of both sweeps.
         window_rows: rows per work-item of rectified ZNCC, which first sums the rows of one window.
-        patch_group: work-items per group of PatchMatch; None leaves it to the driver.
     """
 
     lanes: int
@@ -60,7 +59,6 @@ class DeviceProfile:
     sweep_tile: tuple[int, int]
     sweep_group: int
     sweep_planes: int
-    patch_group: tuple[int, int] | None
     bucket: int = 32
     topology_group: int = 64
     digit_bits: int = 11
@@ -102,7 +100,6 @@ def _for_gpu() -> DeviceProfile:
         sweep_tile=(16, 16),
         sweep_group=16,
         sweep_planes=1,
-        patch_group=None,
     )
 
 
@@ -127,8 +124,6 @@ def _for_cpu(cores: int) -> DeviceProfile:
         sweep_tile=(64, 64),
         sweep_group=1,
         sweep_planes=16,
-        # Larger groups would need stack memory for all their work-items at once.
-        patch_group=(1, 1),
     )
 
 

@@ -59,6 +59,7 @@ class Program:
                 fix=_fix(str(error), own_text=bool(texts)),
             ) from error
         self._device, self._program = device, program
+        self._on_cpu = device.is_cpu
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
         real = np.float64 if macros["REAL_IS_DOUBLE"] else np.float32
         self._signatures = signatures(text, real)
@@ -77,6 +78,9 @@ class Program:
         """Enqueue a kernel, and return its event.
 
         Args:
+            local_size: None leaves it to the driver of a GPU. On a CPU it means groups of one work-item: the
+                driver would compile the kernel again for other sizes of images, and might run all items as
+                one group, on one core, with a copy of private arrays for each.
             arguments: arrays and numbers by the names in the kernel's source, all of them, in any order.
 
         Raises:
@@ -85,6 +89,8 @@ class Program:
         """
         device = self._device
         values = self._signatures[kernel].values(arguments)
+        if local_size is None and self._on_cpu:
+            local_size = (1,) * len(global_size)
         try:
             # A kernel object stores its arguments, so only one thread at a time may set them.
             with device.lock:

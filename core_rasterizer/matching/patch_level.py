@@ -48,7 +48,6 @@ class PatchLevel:
     ) -> None:
         self._device, self.cameras, self._seed = device, tuple(cameras), seed
         self.nearness = nearness
-        self._group = device.profile.patch_group
         self._defines = {
             "RADIUS": radius,
             "LEVELS": GREY_LEVELS,
@@ -71,7 +70,7 @@ class PatchLevel:
         self._program().run(
             "draw_planes",
             (-(-camera.width // self._device.lanes), camera.height),
-            self._group,
+            None,
             planes=self.planes[view],
             key=self._key(view),
             **self._numbers(camera),
@@ -84,7 +83,7 @@ class PatchLevel:
         self._program().run(
             "plane_costs",
             (-(-camera.width // self._device.lanes), camera.height),
-            self._group,
+            None,
             costs=costs,
             width=camera.width,
             height=camera.height,
@@ -108,7 +107,7 @@ class PatchLevel:
             self._program().run(
                 "improve_planes",
                 (-(-camera.width // (2 * self._device.lanes)), camera.height),
-                self._group,
+                None,
                 good_cost=good_cost,
                 agreement=agreement,
                 colour=colour,

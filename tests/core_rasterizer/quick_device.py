@@ -41,20 +41,6 @@ class _BuiltOnce:
         return _built(self._context, self._text, tuple(options), more)
 
 
-class _QuickProgram(Program):
-    """Groups of one item where the driver chooses: the kernels are compiled once for images of all sizes."""
-
-    def run(
-        self,
-        kernel: str,
-        global_size: tuple[int, ...],
-        local_size: tuple[int, ...] | None,
-        /,
-        **arguments: Any,
-    ) -> cl.Event:
-        return super().run(kernel, global_size, local_size or (1,) * len(global_size), **arguments)
-
-
 class QuickDevice(Device):
     """On a CPU, optimizes the kernels of its variant in single precision, without options or plugins' code.
 
@@ -87,7 +73,6 @@ class QuickDevice(Device):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(cl, "Program", _BuiltOnce)
             if self.kind == "cpu" and OPTIMIZE not in os.environ:
-                patch.setattr("core_rasterizer.device.device.Program", _QuickProgram)
                 if self._everything or not single or not plain:
                     patch.setenv("PYOPENCL_BUILD_OPTIONS", "-cl-opt-disable")
             return super()._build(sources, dtype, defines)

@@ -107,28 +107,34 @@ static inline int bits_set(ulong x)
     return (x * 0x0101010101010101UL) >> 56;
 }
 
-/* The share of BITS signs in which two census transforms differ. */
+/* The share of BITS signs in which two census transforms differ. Work-items of a pixel share its
+ * disparities; on a CPU there is one. */
 __kernel void compare_signs(
     __global const long *left, __global const long *right, __global uchar *costs, int width,
     int planes, int depth, int unseen, int bits)
 {
-    const int d = get_global_id(0) * LANES, x = get_global_id(1), y = get_global_id(2);
+    const int x = get_global_id(1), y = get_global_id(2);
     const size_t pixel = (size_t)y * width + x;
     const ulong signs = left[pixel];
-    right += (size_t)y * (width + depth) + width - 1 - x + d;
-    lane differing = (lane)0;
-    for (int l = 0; l < LANES; l++)
-        LANE_AT(differing, l) = bits_set(signs ^ right[l]);
-    write_costs(costs, pixel, depth, planes, unseen, x, d, differing * ((real)255 / bits));
+    right += (size_t)y * (width + depth) + width - 1 - x;
+    for (int d = get_global_id(0) * LANES; d < depth; d += get_global_size(0) * LANES) {
+        lane differing = (lane)0;
+        for (int l = 0; l < LANES; l++)
+            LANE_AT(differing, l) = bits_set(signs ^ right[d + l]);
+        write_costs(costs, pixel, depth, planes, unseen, x, d, differing * ((real)255 / bits));
+    }
 }
 
 /* The right image's costs: its column x at disparity d is the left column x + d at d. Beyond the left
- * image they are those of the left column 0, which has no match at d >= 1 either. */
+ * image they are those of the left column 0, which has no match at d >= 1 either. Work-items as above. */
 __kernel void costs_of_right(
     __global const uchar *left_costs, __global uchar *right_costs, int width, int depth)
 {
-    const int d = get_global_id(0), x = get_global_id(1);
-    const size_t row = (size_t)get_global_id(2) * width;
-    const int match = x + d < width ? x + d : 0;
-    right_costs[(row + x) * depth + d] = left_costs[(row + match) * depth + d];
+    const int x = get_global_id(1), step = get_global_size(0), seen = LANE_MIN(depth, width - x);
+    const size_t row = (size_t)get_global_id(2) * width * depth, pixel = row + (size_t)x * depth;
+    int d = get_global_id(0);
+    for (; d < seen; d += step)
+        right_costs[pixel + d] = left_costs[pixel + (size_t)d * (depth + 1)];
+    for (; d < depth; d += step)
+        right_costs[pixel + d] = left_costs[row + d];
 }
