@@ -70,9 +70,9 @@ class QuickDevice(Device):
     ) -> Program:
         plain = not _FEATURES & set(defines) and all(isinstance(source, str) for source in sources)
         single = dtype == torch.float32 and self.variant == "cpu"
+        optimized = single and plain and not self._everything
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(cl, "Program", _BuiltOnce)
-            if self.kind == "cpu" and OPTIMIZE not in os.environ:
-                if self._everything or not single or not plain:
-                    patch.setenv("PYOPENCL_BUILD_OPTIONS", "-cl-opt-disable")
+            if self.kind == "cpu" and OPTIMIZE not in os.environ and not optimized:
+                patch.setenv("PYOPENCL_BUILD_OPTIONS", "-cl-opt-disable")
             return super()._build(sources, dtype, defines)
