@@ -7,6 +7,7 @@ import pytest
 from core_rasterizer import Device, GaussianModel, open_device
 from core_rasterizer.device import Variant
 from registry.testing import tiny_scene
+from tests.core_rasterizer.quick_device import QuickDevice
 from tests.core_rasterizer.traffic import Traffic, counted
 from tests.host import Parts, Plugins, Trainer, initial_gaussians, parse_pipeline
 
@@ -38,7 +39,7 @@ def trainer_on(device: Device, text: str = PIPELINE) -> Trainer:
 def test_an_iteration_moves_no_image_and_waits_five_times(
     variant: Variant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = open_device().as_variant(variant)
+    engine = QuickDevice(open_device(), variant, shares_memory=True)
     trainer = trainer_on(engine.as_discrete())
     counts: dict[int, Traffic] = {}
     iterations = trainer.run()
