@@ -3,9 +3,10 @@
 from .drivers import INTEL  # isort: skip - before pyopencl is imported
 from .array import DeviceArray, Scratch
 from .choice import Description, choose
-from .device import Device, Kind, list_devices, open_device
+from .device import Device, list_devices, open_device
 from .host_pool import host_pool
 from .launch_plan import Launch, LaunchPlan
+from .memory import Kind
 from .profile import DeviceProfile, Variant
 from .program import KernelText, Program
 from .trial import Trial, described, tried

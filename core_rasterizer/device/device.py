@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import pyopencl as cl
 import torch
@@ -22,8 +22,6 @@ from .uploads import Uploads
 
 _log = logging.getLogger(__name__)
 
-Kind = Literal["cpu", "gpu", "accelerator"]
-
 
 class Device(DeviceMemory):
     """One OpenCL device with its own queue, opened on first use.
@@ -31,7 +29,6 @@ class Device(DeviceMemory):
     Threads may share it; hold `lock` while using memory that other threads use as well.
 
     Attributes:
-        kind: "cpu", "gpu" or "accelerator".
         variant: raster kernels: "cpu" (one work-item per tile, vectors along rows) or "gpu" (one
             work-item per pixel, one work-group per tile). Chosen by kind unless given.
         profile: how kernels divide their work.
@@ -44,8 +41,7 @@ class Device(DeviceMemory):
         variant: Variant | None = None,
         shares_memory: bool | None = None,
     ) -> None:
-        self.kind: Kind = _kind_of(handle)
-        super().__init__(handle, self.kind == "cpu" if shares_memory is None else shares_memory)
+        super().__init__(handle, shares_memory)
         self.variant: Variant = variant or ("cpu" if self.kind == "cpu" else "gpu")
         self.compute_units = int(handle.max_compute_units)
         self.supports_double = "cl_khr_fp64" in handle.extensions.split()
@@ -175,9 +171,3 @@ def _devices_of(platform: cl.Platform) -> Iterator[Device]:
     with suppress(cl.Error):
         for handle in platform.get_devices():
             yield Device(handle)
-
-
-def _kind_of(handle: cl.Device) -> Kind:
-    if handle.type & cl.device_type.CPU:
-        return "cpu"
-    return "gpu" if handle.type & cl.device_type.GPU else "accelerator"

@@ -46,22 +46,13 @@ class HostPool:
                     self._free += found[:index] + found[index + 1 :]
                     return block
             self._free += found
-        return _aligned(np.empty(size + ALIGNMENT, dtype=np.uint8), size)
+        whole = np.empty(size + ALIGNMENT, dtype=np.uint8)
+        first = -whole.ctypes.data % ALIGNMENT
+        return whole[first : first + size]
 
     def _give_back(self, block: NDArray[np.uint8]) -> None:
         self._free.append(block)
         del self._free[:-KEPT]
-
-
-def zeros(elements: int, dtype: torch.dtype) -> Tensor:
-    """Like `torch.zeros`, `[elements]`, in fewer page faults: numpy asks Linux for huge pages."""
-    size = elements * dtype.itemsize
-    return torch.from_numpy(_aligned(np.zeros(size + ALIGNMENT, np.uint8), size)).view(dtype)
-
-
-def _aligned(whole: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    first = -whole.ctypes.data % ALIGNMENT
-    return whole[first : first + size]
 
 
 host_pool = HostPool()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from functools import cached_property
 from threading import RLock
+from typing import Literal
 
 import pyopencl as cl
 import torch
 from torch import Tensor
 
 from ..errors import DeviceError, MemoryBudgetError
-from .host_pool import zeros
+
+Kind = Literal["cpu", "gpu", "accelerator"]
 
 _contexts: dict[cl.Device, tuple[cl.Context, cl.CommandQueue]] = {}
 """One context for each device, whatever its variants: a GPU's driver refuses more when many are open."""
@@ -74,7 +76,7 @@ class DeviceMemory:
 
     Attributes:
         name, platform, driver: as reported by the driver.
-        is_cpu: whether it is a CPU.
+        kind: "cpu", "gpu" or "accelerator".
         memory_bytes: size of the device's memory.
         buffer_bytes: size of the largest buffer that the driver allocates.
         shares_memory: If True, device buffers are host memory, which torch accesses without a copy.
@@ -83,15 +85,15 @@ class DeviceMemory:
         retired: freed memory that enqueued kernels may still use.
     """
 
-    def __init__(self, handle: cl.Device, shares_memory: bool) -> None:
+    def __init__(self, handle: cl.Device, shares_memory: bool | None) -> None:
         self._handle = handle
         self.name = handle.name.strip()
         self.platform = handle.platform.name.strip()
         self.driver = handle.driver_version.strip()
-        self.is_cpu = bool(handle.type & cl.device_type.CPU)
+        self.kind: Kind = _kind_of(handle)
         self.memory_bytes = int(handle.global_mem_size)
         self.buffer_bytes = int(handle.max_mem_alloc_size)
-        self.shares_memory = shares_memory
+        self.shares_memory = self.kind == "cpu" if shares_memory is None else shares_memory
         self.bytes_moved = 0
         self.lock = RLock()
         self.retired = Retired()
@@ -157,10 +159,10 @@ class DeviceMemory:
         try:
             if not self.shares_memory:
                 return cl.Buffer(self.context, flags, size=size), None
-            host = (over if over is not None else zeros(elements, dtype)).reshape(-1)
+            host = (over if over is not None else torch.zeros(elements, dtype=dtype)).reshape(-1)
             flags |= cl.mem_flags.USE_HOST_PTR
             return cl.Buffer(self.context, flags, hostbuf=host.numpy()), host
-        except (cl.Error, RuntimeError, MemoryError) as error:
+        except (cl.Error, RuntimeError) as error:
             raise MemoryBudgetError(
                 f"the device {self.name!r} could not allocate {size / 2**20:,.0f} MB: {error}",
                 where=f"its memory is {self.memory_bytes / 2**20:,.0f} MB in total",
@@ -171,3 +173,9 @@ class DeviceMemory:
         """Wait until all enqueued work has run."""
         with self.retired.drained():
             self.queue.finish()
+
+
+def _kind_of(handle: cl.Device) -> Kind:
+    if handle.type & cl.device_type.CPU:
+        return "cpu"
+    return "gpu" if handle.type & cl.device_type.GPU else "accelerator"

@@ -59,7 +59,6 @@ class Program:
                 fix=_fix(str(error), own_text=bool(texts)),
             ) from error
         self._device, self._program = device, program
-        self._on_cpu = device.is_cpu
         self._kernels = {kernel.function_name: kernel for kernel in program.all_kernels()}
         real = np.float64 if macros["REAL_IS_DOUBLE"] else np.float32
         self._signatures = signatures(text, real)
@@ -78,9 +77,9 @@ class Program:
         """Enqueue a kernel, and return its event.
 
         Args:
-            local_size: None leaves it to the driver of a GPU. On a CPU it means groups of one work-item: the
-                driver would compile the kernel again for other sizes of images, and might run all items as
-                one group, on one core, with a copy of private arrays for each.
+            local_size: If None, a GPU's driver chooses. On a CPU groups have one work-item: the driver would
+                compile the kernel again for each image size, and could put all work-items into one group,
+                which runs on one core.
             arguments: arrays and numbers by the names in the kernel's source, all of them, in any order.
 
         Raises:
@@ -89,7 +88,7 @@ class Program:
         """
         device = self._device
         values = self._signatures[kernel].values(arguments)
-        if local_size is None and self._on_cpu:
+        if local_size is None and device.kind == "cpu":
             local_size = (1,) * len(global_size)
         try:
             # A kernel object stores its arguments, so only one thread at a time may set them.
@@ -110,7 +109,7 @@ class Program:
         /,
         **arguments: DeviceArray | float | np.generic,
     ) -> Launch:
-        """Return a launch with a kernel object of its own, for a `LaunchPlan`; arguments as for `run`."""
+        """Set the arguments of a new kernel object, for a `LaunchPlan`. Parameters are those of `run`."""
         signature, own = self._signatures[kernel], cl.Kernel(self._program, kernel)
         values = zip(signature.values(arguments), signature.types, strict=True)
         for position, (value, number) in enumerate(values):

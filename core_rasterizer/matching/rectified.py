@@ -102,7 +102,7 @@ def census_costs(device: Device, left: Tensor, right: Tensor, planes: int) -> De
     bits = _CENSUS_COLUMNS * _CENSUS_ROWS - 1
     program.run(
         "compare_signs",
-        (1 if device.is_cpu else depth // device.lanes, width, height),
+        (1 if device.kind == "cpu" else depth // device.lanes, width, height),
         None,
         left=_on_device(device, signs[0], torch.int64),
         right=_on_device(device, pad(signs[1].flip(1), (0, depth)), torch.int64),
@@ -158,7 +158,7 @@ def right_costs(device: Device, costs: DeviceArray) -> DeviceArray:
     result = DeviceArray(device, costs.shape, torch.uint8)
     program = device.program("matching/rectified", dtype=torch.float32, RADIUS=1)
     volumes = {"left_costs": costs, "right_costs": result}
-    size = (1 if device.is_cpu else depth, width, height)
+    size = (1 if device.kind == "cpu" else depth, width, height)
     program.run("costs_of_right", size, None, **volumes, width=width, depth=depth)
     return result
 
