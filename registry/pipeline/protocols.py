@@ -11,9 +11,9 @@ Results then carry the modification, and are only compared with results that car
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from ..contract.component import Settings
 from ..errors import PipelineError
@@ -22,6 +22,10 @@ from .edits import expand, item_names
 from .ready import PROTOCOLS, only_file, packaged_files
 from .settings_check import plain, validate_settings
 from .yaml_source import Node, Place, parse
+
+View = TypeVar("View")
+MOST_SCORED = 48
+"""Training views that are scored if there are test views; all would take time quadratic in the views."""
 
 
 class Protocol(Settings):
@@ -86,6 +90,12 @@ class AppliedProtocol:
     def record(self) -> dict[str, Any]:
         """All of it as plain JSON values, for results."""
         return {**self.protocol.model_dump(mode="json"), "modified": self.modified}
+
+
+def scored(train: Sequence[View], test: Sequence[View]) -> list[View]:
+    """Return the training views to score: all, or with test views at most `MOST_SCORED`, evenly spaced."""
+    count = min(len(train), MOST_SCORED) if test else len(train)
+    return [train[index * len(train) // count] for index in range(count)]
 
 
 def protocol_names() -> tuple[str, ...]:

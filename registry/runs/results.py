@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -17,6 +17,7 @@ from core_rasterizer import ExplainedError
 
 from ..errors import RunError
 from ..messages.visible_text import visible, without_credentials
+from ..pipeline.protocols import scored
 from ..pipeline.settings_check import recorded
 from ..system.files import jsonable
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 RENDERS = "renders"
 EXPORTS = "exports"
-MOST_SCORED = 48
-"""Training views that are scored if there are test views; all would take time quadratic in the views."""
 _LARGEST = 12_000_000
 """Bytes; the scores of 10,000 views take 2 MB."""
 _TOLERANCE = 1e-6
@@ -42,7 +41,6 @@ Name = Annotated[str, Field(min_length=1, max_length=500)]
 Score = Number | None
 """None: infinite or not available."""
 ScoresByMetric = dict[Name, Score]
-View = TypeVar("View")
 
 
 class Record(BaseModel):
@@ -243,12 +241,6 @@ def _metric(item: Item) -> dict[str, Any]:
     kept = {k: v for k, v in settings.items() if k not in paths}
     package = foreign_package(item.offer)
     return {"use": item.offer.name, **({"package": package} if package else {}), **kept}
-
-
-def scored(train: Sequence[View], test: Sequence[View]) -> list[View]:
-    """Return the training views to score: all, or with test views at most `MOST_SCORED`, evenly spaced."""
-    count = min(len(train), MOST_SCORED) if test else len(train)
-    return [train[index * len(train) // count] for index in range(count)]
 
 
 def add_scores(results: Results, test: Scores, train: Scores) -> None:

@@ -25,6 +25,7 @@ from ..contract.scene import Scene
 from ..discovery import CONFIDENCE, Plugins
 from ..pipeline.parts import Parts, build_part
 from ..pipeline.pipeline import Pipeline
+from ..pipeline.protocols import scored
 from ..pipeline.single_item import single_item
 from ..toolkit.progress import tracked
 from ..training.checkpoint import Checkpoint
@@ -33,7 +34,6 @@ from ..training.placed import PlacedConfidence, PlacedGaussians
 from ..training.prior_masks import with_prior_masks
 from ..training.trainer import maps_of
 from .evaluation import Picture, Scores, as_arrays, evaluate, quick
-from .results import scored
 
 
 @dataclass
