@@ -63,7 +63,9 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         path = _resolved(target, _origin(here))
         if path is None:
             return link[0]
-        return before + posixpath.relpath(_on_site(path), posixpath.dirname(here)) + (anchor or "")
+        name = _on_site(path)
+        anchor = "" if name.startswith("source/") else anchor or ""  # shown as text, without headings
+        return before + posixpath.relpath(name, posixpath.dirname(here)) + anchor
 
     return _LINK.sub(moved, markdown)
 
