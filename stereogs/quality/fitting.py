@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from registry import RunError
+from registry.errors import PipelineError
 from registry.messages.suggestions import counted
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.folder import ChooseFolder, refuse_occupied
-from registry.runs.preparation import Prepared, load, prepare, running
+from registry.runs.preparation import Loaded, Prepared, load, prepare, running
 from registry.runs.training_run import train_prepared
 
-from .table import SHORT, Quality, by_quality
+from .table import MANY, MANY_FROM, MANY_REASON, MANY_TIMES, SHORT, Quality, by_quality
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,6 +48,8 @@ class Fit:
 
     Args:
         log: receives lines of at most 80 characters.
+        load: loads the ready pipelines for a choice among them; the given one is SHORT, perhaps with
+            another name. None: the given one trains.
         size: longer side of the photographs in pixels, if it is given.
         adapts_size: whether time and memory choose the size.
         kept: settings that the command line names, such as "scene.frames".
@@ -58,7 +61,9 @@ class Fit:
     adapts_size: bool = False
     kept: Collection[str] = ()
     device: str | None = None
+    load: Load | None = None
     _shrunk: bool = field(default=False, init=False)
+    _many: bool = field(default=False, init=False)
 
     def train(
         self, pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
@@ -71,7 +76,7 @@ class Fit:
             resized = self.resized(pipeline, loaded.scene)
             if resized is not pipeline:
                 loaded = loaded.again(resized)
-            initial = prepare(loaded, active)
+            initial = prepare(self.for_many(loaded), active)
             fitted = self.fitted(initial)
             if fitted is not initial.pipeline:
                 initial = initial.of(fitted)
@@ -135,12 +140,26 @@ class Fit:
         self.log("  --size PIXELS chooses the longer side")
         return with_loader(pipeline, {"max_size": found.pixels})
 
+    def for_many(self, loaded: Loaded) -> Loaded:
+        """Return the scene with the pipeline for many views, if it has them and the pipeline is free."""
+        if self.load is None or len(loaded.scene.train) < MANY_FROM:
+            return loaded
+        try:
+            many = self.load(MANY)
+        except PipelineError as error:
+            self.log(f"not {MANY}, because of the changes: {error.what}")
+            return loaded
+        self._many = True
+        return loaded.of(_on_scene_of(loaded.parts.pipeline, many))
+
     def _cpu_seconds_left(self) -> float | None:
         """CPU seconds that the process can expect until the end of the budget; None: no limit."""
         return None
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline that trains, with the same scene, priors and initializer."""
+        if self._many:
+            log_choice(initial.pipeline, MANY_REASON, initial, self.log)
         return initial.pipeline
 
     def hurried(self, initial: Prepared) -> str:
@@ -162,21 +181,21 @@ class Fit:
 
 @dataclass
 class WithQuality(Fit):
-    """Trains a folder with the pipeline of a quality.
-
-    Args:
-        load: loads the ready pipelines, which initialize in the same way; the given one is SHORT, perhaps
-            with another name.
-    """
+    """Trains a folder with the pipeline of a quality."""
 
     load: Load = field(kw_only=True)
     quality: Quality = "good"
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline of the quality for the number of training views."""
-        choice = by_quality(self.quality)
-        chosen = ready(choice.name, initial, self.load)
-        log_choice(chosen, choice.reason, initial, self.log)
+        chosen, reason = initial.pipeline, MANY_REASON
+        if self._many:
+            count = chosen.training.iterations
+            chosen = chosen.scaled(round(MANY_TIMES[self.quality] * count))
+        else:
+            name, reason, _ = by_quality(self.quality)
+            chosen = ready(name, initial, self.load)
+        log_choice(chosen, reason, initial, self.log)
         return chosen
 
     def closing(self, run: Run) -> Iterator[str]:
@@ -202,8 +221,12 @@ def ready(name: str, initial: Prepared, load: Load) -> Pipeline:
     """Load a pipeline of the table for the number of training views, with the scene as it was read."""
     if name == SHORT:
         return initial.pipeline
-    loaded = load(name).for_views(len(initial.scene.train))
-    return replace(loaded, items={**loaded.items, "scene": initial.pipeline.items["scene"]})
+    return _on_scene_of(initial.pipeline, load(name).for_views(len(initial.scene.train)))
+
+
+def _on_scene_of(read: Pipeline, other: Pipeline) -> Pipeline:
+    """Return the other pipeline with the scene's settings of the one that it was read with."""
+    return replace(other, items={**other.items, "scene": read.items["scene"]})
 
 
 def log_choice(chosen: Pipeline, reason: str, initial: Prepared, log: Log) -> None:

@@ -36,10 +36,15 @@ SHORT_TIMES, LONG_TIMES = 1.75, 1.75
 GROWTH = {QUICK: (1.0, 1.0), SHORT: (1.15, 1.3), LONG: (1.3, 1.6), BEST: (1.5, 1.9)}
 """Mean and final number of Gaussians as a multiple of the initial number, on llff_fern and llff_flower with
 three views."""
+MANY, MANY_FROM = "many_views", 25
+"""The ready pipeline from this number of training views on, with another initialization."""
+MANY_REASON = f"there are {MANY_FROM} training views or more"
+MANY_TIMES: dict[Quality, float] = {"fast": 0.375, "good": 1.0, "best": 3.0}
+"""Its length for each quality, as a multiple of its own."""
 
 
 def by_quality(quality: Quality) -> Choice:
-    """Return the pipeline for a quality."""
+    """Return the pipeline for a quality and fewer than `MANY_FROM` views."""
     if quality == "best":
         return Choice(BEST, "it gives the best scores without a network, in minutes")
     if quality == "fast":

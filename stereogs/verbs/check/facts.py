@@ -10,6 +10,8 @@ from registry.messages.suggestions import counted, listing
 from registry.training.scene_facts import image_sizes, points_in_view
 
 MAIN = 4
+MOST_NAMED = 24
+"""Longer lists of views show only the first and the last name; check.png shows all."""
 
 
 def facts(scene: Scene) -> list[tuple[str, str]]:
@@ -35,11 +37,12 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _names(views: Sequence[View]) -> str:
-    return (
-        f"{counted(len(views), 'view')}: {listing(view.name for view in views)}"
-        if views
-        else "none"
-    )
+    if not views:
+        return "none"
+    names = [view.name for view in views]
+    if len(names) > MOST_NAMED:
+        names = [names[0], "...", names[-1]]
+    return f"{counted(len(views), 'view')}: {listing(names)}"
 
 
 def _range(views: Sequence[View], number: Callable[[Camera], float]) -> str:

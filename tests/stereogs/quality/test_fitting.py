@@ -20,6 +20,7 @@ from stereogs.quality.table import (
     BEST,
     LONG,
     LONG_TIMES,
+    MANY,
     QUALITIES,
     QUICK,
     QUICK_TIMES,
@@ -35,7 +36,7 @@ from stereogs.quality.within_seconds import (
     Budget,
     WithinSeconds,
 )
-from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start_run
+from tests.host import Field, Loaded, Plugins, Prepared, evaluate, parse_pipeline, start_run
 
 TEXT = """\
 name: {name}
@@ -236,7 +237,7 @@ def chosen(
 
     def load(name: str) -> Pipeline:
         assert name != SHORT, "it is at hand"
-        return pipeline(toys, name, {QUICK: quick, LONG: 1200, BEST: 3600}[name])
+        return pipeline(toys, name, {QUICK: quick, LONG: 1200, BEST: 3600, MANY: 800}[name])
 
     found: list[Pipeline] = []
     plan = (
@@ -246,6 +247,9 @@ def chosen(
     )
 
     class Choosing(Fit):
+        def for_many(self, loaded: Loaded) -> Loaded:
+            return plan.for_many(loaded)
+
         def fitted(self, initial: Prepared) -> Pipeline:
             found.append(plan.fitted(initial))
             raise Chosen
@@ -268,6 +272,44 @@ def test_a_quality_is_a_pipeline_and_a_length(
     assert found.items["densification"][0].host.every == iterations // 4
     assert "2 training views of" in said[2]
     assert max(map(len, said)) <= 80
+
+
+@pytest.fixture
+def many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two training views of the toy scene are many."""
+    monkeypatch.setattr("stereogs.quality.fitting.MANY_FROM", 2)
+
+
+@pytest.mark.parametrize(("quality", "iterations"), [("fast", 300), ("good", 800), ("best", 2400)])
+def test_many_views_have_a_pipeline_of_their_own(
+    toys: Plugins, device: Device, many: None, quality: Quality, iterations: int
+) -> None:
+    said: list[str] = []
+    found = chosen(toys, device, quality, said.append)
+    assert (found.name, found.training.iterations) == (MANY, iterations)
+    assert said[-1].startswith("  because there are ")
+
+
+def test_seconds_choose_the_length_for_many_views(
+    toys: Plugins, device: Device, many: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = chosen(toys, device, Machine(monkeypatch).budget(600))
+    assert (found.name, found.training.iterations) == (MANY, 2400)
+    assert chosen(toys, device, Machine(monkeypatch).budget(12)).training.iterations < 800
+
+
+def test_many_views_train_the_usual_pipeline_if_changes_fit_only_that(
+    toys: Plugins, device: Device, tmp_path: Path, many: None
+) -> None:
+    def load(name: str) -> Pipeline:
+        return parse_pipeline(
+            TEXT.format(name=name, iterations=9), toys, overrides=["modifiers.absent.rate=1"]
+        )
+
+    said: list[str] = []
+    plan = Fit(said.append, load=load)
+    assert trained(pipeline(toys, iterations=8), device, tmp_path / "run", plan).iteration == 8
+    assert said[0].startswith(f"not {MANY}, because of the changes: ")
 
 
 @pytest.mark.parametrize(

@@ -183,6 +183,13 @@ def test_facts() -> None:
     assert found["true depth"] == "3 of 3 views"
 
 
+def test_many_views_are_not_all_named() -> None:
+    scene = tiny_scene()
+    many = [replace(scene.train[0], name=f"view{k}") for k in range(25)]
+    found = dict(facts(replace(scene, train=(*many,))))
+    assert found["train"] == "25 views: view0, ..., view24"
+
+
 def test_the_contact_sheet_frames_the_split_in_two_colours() -> None:
     scene = tiny_scene()
     pixels = (scene_picture(scene) * 255).round().to(torch.uint8).numpy()
