@@ -90,7 +90,7 @@ def conclude(run: Run, output: Console) -> int:
     folder = run.folder_or_refuse()
     if not run.finished:
         output.print(
-            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.path}"
+            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.shown()}"
         )
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
@@ -106,10 +106,10 @@ def conclude(run: Run, output: Console) -> int:
         + (f", at most {memory:.0f} MB" if memory is not None else "")
     )
     for file in results["exports"]:
-        output.print(f"exported  {folder.path / file}")
-    output.print(f"pictures  {folder.path / RENDERS}")
+        output.print(f"exported  {folder.shown(file)}")
+    output.print(f"pictures  {folder.shown(RENDERS)}")
     for file in results["reports"]:
-        output.print(f"page      {folder.path / file}")
+        output.print(f"page      {folder.shown(file)}")
     output.print(f"hash      {results['hash']}")
     return print_failures(results["failures"], folder.path)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import fsspec
 import pytest
 from torch import Tensor
 
@@ -113,5 +114,8 @@ def test_an_iteration_that_failed_is_repeated(
         assert main(["replay", "run/failures/iteration-0000001"]) == 2
         assert capsys.readouterr().err.splitlines()[0] == told.splitlines()[0]
     assert main(["replay", "run/failures/iteration-0000001"]) == 0
+    monkeypatch.setenv("STEREOGS_CACHE", "cache")
+    fsspec.filesystem("memory").put("run/", "/failed/run", recursive=True)
+    assert main(["replay", "memory://failed/run/failures/iteration-0000001"]) == 0
     assert "succeeds now; it had failed with: the" in capsys.readouterr().out
     assert main(["resume", "run"]) == 0
