@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from registry.messages.terminal import PlainConsole
@@ -111,7 +110,7 @@ def conclude(run: Run, output: Console) -> int:
     for file in results["reports"]:
         output.print(f"page      {folder.shown(file)}")
     output.print(f"hash      {results['hash']}")
-    return print_failures(results["failures"], folder.path)
+    return print_failures(results["failures"], folder.shown())
 
 
 def report(run: Run, folder: RunFolder, reports: Sequence[Part]) -> int:
@@ -121,10 +120,10 @@ def report(run: Run, folder: RunFolder, reports: Sequence[Part]) -> int:
     files, failures = write_reports(run, folder, reports)
     for file in files:
         console().print(f"page  {folder.path / file}")
-    return print_failures([failure.model_dump() for failure in failures], folder.path)
+    return print_failures([failure.model_dump() for failure in failures], folder.shown())
 
 
-def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:
+def print_failures(failures: Sequence[dict[str, str]], folder: str) -> int:
     """Print which metrics, exporters and reports failed; return the exit status."""
     output = console(stderr=True)
     for failure in failures:

@@ -64,7 +64,7 @@ def test_a_report_needs_no_plugin_that_only_trained(
 
 def test_what_failed_is_printed_with_its_remedy(capsys: Capture) -> None:
     failure = {"component": "exporters.sog", "what": "no program", "where": "", "fix": "install it"}
-    assert print_failures([failure], Path("runs/x")) == 1
+    assert print_failures([failure], "runs/x") == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[:2] == ["stereogs: exporters.sog: no program", "  fix    install it"]
 

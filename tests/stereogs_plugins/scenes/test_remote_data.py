@@ -61,6 +61,9 @@ def test_a_run_is_written_to_an_address_and_read_from_it(
     assert main(["export", run, "--format", "ply", "--out", "ply"]) == 0
     assert main(["compare", run, run]) == 0
     assert stereogs.results(run)["hash"] == stereogs.open_run(run).hash
+    fsspec.filesystem("memory").rm("/bucket/runs/far/results.json")
+    assert main(["report", run]) == 2
+    assert f"stereogs resume {run}\n" in capsys.readouterr().err
 
 
 def test_the_verbs_take_an_address(capsys: pytest.CaptureFixture[str]) -> None:
