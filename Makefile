@@ -94,7 +94,7 @@ cluster: $(VENV)/.dev ## runs on processes that share a folder, on Ray and on su
 	$(PIP) --editable '.[dev,cluster,slurm]'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check s3fs 'moto[server]>=5'
 	CLUSTER=1 $(BIN)/python -m pytest -m 'proof or not proof' tests/stereogs_plugins/runners tests/stereogs/experiments/test_sharing.py \
-		tests/registry/toolkit/cache/test_remote.py
+		tests/registry/toolkit/cache/test_remote.py tests/registry/runs/test_remote_runs.py
 
 lint: $(VENV)/.dev ## rules and format of Python, format of kernels, workflow files by their schema
 	$(BIN)/ruff check .

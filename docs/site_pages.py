@@ -64,8 +64,9 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
         if path is None:
             return link[0]
         name = _on_site(path)
-        anchor = "" if name.startswith("source/") else anchor or ""  # shown as text, without headings
-        return before + posixpath.relpath(name, posixpath.dirname(here)) + anchor
+        if name.startswith("source/"):  # shown as text, without headings
+            anchor = None
+        return before + posixpath.relpath(name, posixpath.dirname(here)) + (anchor or "")
 
     return _LINK.sub(moved, markdown)
 

@@ -21,7 +21,7 @@ import logging
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
@@ -34,6 +34,7 @@ from ..system.files import jsonable, new_folder, remove_leftovers, write_json, w
 from ..system.lock import locked
 from ..toolkit.cache.remote import url_of
 from .results import Amount, Record, Results, problem_of, read_results
+from .sources.remote import RemoteRun, opened_copy, refuse_stored, remote_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -71,16 +72,6 @@ def refuse_occupied(out: Path | ChooseFolder | None) -> None:
         RunFolder.check_vacant(out if isinstance(out, Path) else Path("runs", "*"))
 
 
-def refuse_url(path: Path) -> None:
-    """Refuse a remote path, which would be written as local folders of strange names."""
-    if url := url_of(path):
-        raise RunError(
-            "run folders are local; only scenes may be remote",
-            where=url,
-            fix="give a local path, and copy the folder with the tools of the remote file system",
-        )
-
-
 class _Provenance(Record):
     run: str = ""
     folder: str = ""
@@ -99,7 +90,7 @@ class _Facts(Record):
 
 
 class RunFolder:
-    """The folder of a run, which may not exist yet.
+    """The folder of a run, which may not exist yet; for a remote run its copy here.
 
     All methods raise a RunError if a file is damaged, or cannot be written.
     """
@@ -110,7 +101,8 @@ class RunFolder:
     @staticmethod
     def existing(path: Path) -> RunFolder:
         """Return the folder of a run that was started earlier; refuse other paths."""
-        refuse_url(path)
+        if url := url_of(path):
+            return RunFolder(opened_copy(url))
         run = RunFolder(path)
         if not run.pipeline.is_file():
             reason = "it has no pipeline.yaml" if path.is_dir() else "there is no such folder"
@@ -124,7 +116,9 @@ class RunFolder:
     @staticmethod
     def check_vacant(path: Path) -> None:
         """Refuse a path that is a file or not empty, or cannot be written."""
-        refuse_url(path)
+        if url := url_of(path):
+            refuse_stored(url)
+            return
         fix = "choose another --out"
         if path.is_dir() and any(path.iterdir()):
             fix += f", or continue with `stereogs resume {path}`"
@@ -174,6 +168,38 @@ class RunFolder:
             for folder in (self.path, *(path for path in self.path.rglob("*") if path.is_dir())):
                 remove_leftovers(folder)
             yield
+
+    @contextmanager
+    def training(self) -> Iterator[None]:
+        """Hold the lock while a run is trained; a remote run is sent at the end."""
+        with self.locked():
+            if self.remote is None:
+                yield
+                return
+            self.remote.take()
+            try:
+                yield
+            except Exception:
+                with suppress(RunError):
+                    self.remote.try_to_send()
+                raise
+            self.remote.send(last=True)
+
+    @cached_property
+    def remote(self) -> RemoteRun | None:
+        """The remote run of which this is a copy; None for a local run."""
+        return remote_of(self.path)
+
+    def shown(self, name: str = "") -> str:
+        """Return where the folder or a file in it is, for people: for a remote run the address."""
+        if self.remote is None:
+            return str(self.path / name)
+        return f"{self.remote.url}/{name}".rstrip("/")
+
+    @property
+    def lasting(self) -> Path:
+        """The folder; for a copy that the cache may remove, one of its name in `runs`."""
+        return self.path if self.remote is None else Path("runs", self.path.name)
 
     @cached_property
     def identity(self) -> str:

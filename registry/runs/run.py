@@ -10,11 +10,13 @@ from typing import Any
 from uuid import uuid4
 
 from ..errors import RunError
+from ..toolkit.cache.remote import url_of
 from ..training.checkpoint import CHECKPOINT, save_checkpoint
 from .folder import RunFolder
 from .origin import circumstances, input_digests
 from .outputs import finish
 from .sources.cameras import cameras_of
+from .sources.remote import new_copy
 from .trained_scene import TrainedScene
 
 
@@ -58,17 +60,18 @@ class Run(TrainedScene):
         self.keep_in(Path(folder).expanduser())
         kept_in = self.folder_or_refuse()
         if self.finished:
-            with kept_in.locked():
+            with kept_in.training():
                 finish(self, kept_in)
         return kept_in.path
 
     def keep_in(self, path: Path) -> None:
         """Create the run folder with a checkpoint; later files go there too. See `RunFolder.create`."""
+        folder = RunFolder(new_copy(url) if (url := url_of(path)) else path)
         provenance = {
             "run": uuid4().hex,
             "seed": self.pipeline.training.seed,
             "folder": str(Path.cwd()),
-            "folder_from_run": os.path.relpath(Path.cwd().resolve(), path.resolve()),
+            "folder_from_run": os.path.relpath(Path.cwd().resolve(), folder.path.resolve()),
             **circumstances(self.pipeline, self.engine_model.engine),
             **({"edits": self.edits} if self.edits else {}),
             "resumed": [],
@@ -82,9 +85,11 @@ class Run(TrainedScene):
             for line in self.metrics:
                 folder.append_metrics(line)
 
-        folder = RunFolder(path)
         digests = input_digests(self.scene, self.pipeline)
         folder.create(self.pipeline_text, provenance, digests, fill)
+        if folder.remote is not None:
+            folder.remote.take()
+            folder.remote.send()
         self.folder, self.saved_iteration = folder, self.iteration
 
     def check_folder(self) -> None:
@@ -118,3 +123,5 @@ class Run(TrainedScene):
         if self.folder is not None and self.saved_iteration != self.iteration:
             save_checkpoint(self.checkpoint(), self.folder.folder(CHECKPOINT))
             self.saved_iteration = self.iteration
+            if self.folder.remote is not None:
+                self.folder.remote.try_to_send()

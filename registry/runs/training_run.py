@@ -85,22 +85,22 @@ def train_prepared(
     run, trainer, metrics = _new_run(initial)
     writing = ""
     if out is not None:
-        writing = f"; writing {_keep(run, out)}"
+        _keep(run, out)
+        writing = f"; writing {run.folder_or_refuse().shown()}"
     STAGES.begin(None)
     device = initial.parts.device.name
     options.console().print(f"{len(initial.points):,} points; {device}{writing}")
-    with run.folder.locked() if run.folder else nullcontext():
+    with run.folder.training() if run.folder else nullcontext():
         _train_or_recover(run, trainer, metrics, options, resumed=False)
     return run
 
 
-def _keep(run: Run, out: Path | ChooseFolder) -> Path:
-    """Create the run folder, and return its path."""
+def _keep(run: Run, out: Path | ChooseFolder) -> None:
+    """Create the run folder."""
     folder = out if isinstance(out, Path) else out(run.pipeline, run.scene)
     while True:
         try:
-            run.keep_in(folder)
-            return folder
+            return run.keep_in(folder)
         except RunError:
             if isinstance(out, Path) or (other := out(run.pipeline, run.scene)) == folder:
                 raise
@@ -115,7 +115,7 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
             failure.
     """
     folder = RunFolder.existing(path)
-    with running(options) as active, folder.locked():
+    with running(options) as active, folder.training():
         device = find_device(options.device)
         run = load_run(
             path,

@@ -61,7 +61,7 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
 
 def add_run(parser: argparse.ArgumentParser) -> None:
     """Add the argument RUN and the options with which `open_given` opens it."""
-    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder, or its address")
     add_scene_folder(parser)
     add_accept_changed(parser, "inputs")
     add_device(parser)

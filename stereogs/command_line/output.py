@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from registry.messages.terminal import PlainConsole
@@ -90,7 +89,7 @@ def conclude(run: Run, output: Console) -> int:
     folder = run.folder_or_refuse()
     if not run.finished:
         output.print(
-            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.path}"
+            f"stopped; the checkpoint is complete. Continue with\n  stereogs resume {folder.shown()}"
         )
         return INTERRUPTED
     results: dict[str, Any] = folder.results()
@@ -106,12 +105,12 @@ def conclude(run: Run, output: Console) -> int:
         + (f", at most {memory:.0f} MB" if memory is not None else "")
     )
     for file in results["exports"]:
-        output.print(f"exported  {folder.path / file}")
-    output.print(f"pictures  {folder.path / RENDERS}")
+        output.print(f"exported  {folder.shown(file)}")
+    output.print(f"pictures  {folder.shown(RENDERS)}")
     for file in results["reports"]:
-        output.print(f"page      {folder.path / file}")
+        output.print(f"page      {folder.shown(file)}")
     output.print(f"hash      {results['hash']}")
-    return print_failures(results["failures"], folder.path)
+    return print_failures(results["failures"], folder.shown())
 
 
 def report(run: Run, folder: RunFolder, reports: Sequence[Part]) -> int:
@@ -121,10 +120,10 @@ def report(run: Run, folder: RunFolder, reports: Sequence[Part]) -> int:
     files, failures = write_reports(run, folder, reports)
     for file in files:
         console().print(f"page  {folder.path / file}")
-    return print_failures([failure.model_dump() for failure in failures], folder.path)
+    return print_failures([failure.model_dump() for failure in failures], folder.shown())
 
 
-def print_failures(failures: Sequence[dict[str, str]], folder: Path) -> int:
+def print_failures(failures: Sequence[dict[str, str]], folder: str) -> int:
     """Print which metrics, exporters and reports failed; return the exit status."""
     output = console(stderr=True)
     for failure in failures:

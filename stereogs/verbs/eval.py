@@ -41,4 +41,4 @@ class Eval(Command):
         output.print(results_table(results), soft_wrap=False)
         if run.scene.test:
             output.print(f"pictures  {folder.path / RENDERS}")
-        return print_failures(results["failures"], arguments.run_folder)
+        return print_failures(results["failures"], folder.shown())

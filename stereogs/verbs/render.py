@@ -71,7 +71,8 @@ class Render(Command):
 
         from ..confidence_picture import hatched
 
-        folder, scene = run.folder_or_refuse().folder(RENDERS), run.scene
+        kept, scene = run.folder_or_refuse(), run.scene
+        folder = kept.folder(RENDERS)
         confidence = run.confidence(arguments.confidence) if arguments.confidence else None
         if not arguments.path:
             split, views = ("test", scene.test) if scene.test else ("training", scene.train)
@@ -83,7 +84,7 @@ class Render(Command):
                 place, share = _draw(run, views, arguments.confidence, confidence, folder)
                 output.print(
                     f"sure of {share:.0%} of the {split} views' pixels; pictures in {place}; "
-                    f"`stereogs report {arguments.run_folder}` puts them on the page"
+                    f"`stereogs report {kept.shown()}` puts them on the page"
                 )
             return 0
         count = FRAMES if arguments.frames is None else arguments.frames

@@ -95,9 +95,13 @@ def repeat_failure(
     from registry.runs.opening import FAILURES
     from registry.runs.origin import refuse_changed_inputs
     from registry.runs.sources.places import in_its_place
+    from registry.toolkit.cache.remote import url_of
     from registry.training.assembly import restore
     from registry.training.checkpoint import explain_misfit, read_checkpoint
 
+    if url_of(place):
+        run = place.parent.parent
+        place = RunFolder.existing(run).path / place.relative_to(run)
     place = place.parent if place.is_file() else place
     fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
     if not place.is_dir():

@@ -56,8 +56,8 @@ class Report(Command):
             if not given.finished or not folder.results():
                 raise RunError(
                     "the run has not finished, so it has no report yet",
-                    where=str(arguments.run_folder),
-                    fix=f"stereogs resume {arguments.run_folder}",
+                    where=folder.shown(),
+                    fix=f"stereogs resume {folder.shown()}",
                 )
             return report(given, folder, _reports(given, Plugins(), arguments.beside))
 

@@ -67,7 +67,8 @@ from it to the same result.
             "--out",
             type=Path,
             metavar="DIR",
-            help="the run folder, new or empty (default: runs/<pipeline>-<scene>, numbered if taken)",
+            help="the run folder, new or empty, or its address, s3://BUCKET/RUN (default: "
+            "runs/<pipeline>-<scene>, numbered if taken)",
         )
         parser.add_argument(
             "--scene",

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import fsspec
 import pytest
 
 from core_rasterizer import Device, open_device
@@ -89,3 +90,27 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     yield install
     for name in written:
         sys.modules.pop(name, None)
+
+
+@pytest.fixture(params=["memory", "s3"])
+def remote_root(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The URL of an empty folder."""
+    if request.param == "memory":
+        yield "memory://bucket"
+        fsspec.filesystem("memory").rm("/bucket", recursive=True)
+        return
+    pytest.importorskip("s3fs")
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(port=0)
+    server.start()
+    address, port = server.get_host_and_port()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{address}:{port}")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "given")
+    system = fsspec.filesystem("s3", skip_instance_cache=True)
+    system.mkdir("bucket")
+    system.clear_instance_cache()
+    yield "s3://bucket"
+    fsspec.filesystem("s3").rm("bucket", recursive=True)
+    system.clear_instance_cache()
+    server.stop()

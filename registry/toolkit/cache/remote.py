@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -45,58 +46,103 @@ def local_copy(path: Path) -> Path:
     url = url_of(path)
     if url is None:
         return path
-    if "@" in PurePosixPath(url.partition("://")[2]).parts[0]:
-        what = "the address contains credentials, which would be recorded with the run"
-        raise RunError(what, fix="give them in the environment, for example AWS_ACCESS_KEY_ID")
-    cache, (system, root, files) = Cache("remote"), _listing(url)
-    key = content_key(url, *(f"{name} {state}" for name, state in files.items()))
-    name = PurePosixPath(root).name
-
-    def download(folder: Path) -> None:
-        base, places = PurePosixPath(root).parent, {}
-        for file in files:
-            places[file] = folder / PurePosixPath(file).relative_to(base)
-            if not places[file].resolve().is_relative_to(folder.resolve() / name):
-                raise RunError("a name leads outside of the folder", where=f"{url}: {file}")
-            places[file].parent.mkdir(parents=True, exist_ok=True)
-        with _explained(url):
-            in_parallel(lambda f: system.get_file(f, str(places[f])), list(files), stage="fetching")
-
-    copy = cache.load(key, lambda folder: folder / name)
+    cache, remote = Cache("remote"), RemoteFolder.at(url)
+    files = remote.files()
+    if not files:
+        raise RunError("nothing is stored at this address", where=url, fix="check the address")
+    key = remote.key(files)
+    copy = cache.load(key, lambda folder: folder / remote.name)
     if copy is None:
-        cache.save(key, download)
-        copy = cache.load(key, lambda folder: folder / name)
+        cache.save(key, lambda folder: remote.download(files, folder / remote.name))
+        copy = cache.load(key, lambda folder: folder / remote.name)
     if copy is None:
-        raise RunError(
-            "remote data needs the cache, which is disabled or cannot be written",
-            where=url,
-            fix=f"set {FOLDER_VARIABLE} to a folder with free space",
-        )
+        raise no_cache(url)
     return copy
 
 
-def _listing(url: str) -> tuple[Any, str, dict[str, str]]:
-    """Return a file system, the path of a URL in it, and the state of each file below by its path."""
-    with _explained(url):
-        from fsspec.core import url_to_fs
+def no_cache(url: str) -> RunError:
+    """Return the error if there is no place for a copy."""
+    return RunError(
+        "remote data needs the cache, which is disabled or cannot be written",
+        where=url,
+        fix=f"set {FOLDER_VARIABLE} to a folder with free space",
+    )
 
-        system, root = url_to_fs(url)
-        system.invalidate_cache()
-        root = root.rstrip("/")
-        found = system.find(root, detail=True)
-    files = {
-        name: " ".join(f"{key}={info[key]}" for key in _STATES if key in info)
-        for name, info in sorted(found.items())
-        if info.get("type") == "file" and not name.endswith("/")
-    }
-    if not files:
-        raise RunError("nothing is stored at this address", where=url, fix="check the address")
-    return system, root, files
+
+@dataclass(frozen=True)
+class RemoteFolder:
+    """A folder or file on a file system of fsspec, which need not exist.
+
+    Args:
+        url: its address.
+        system: the file system.
+        root: its path there, without a slash at the end.
+    """
+
+    url: str
+    system: Any
+    root: str
+
+    @classmethod
+    def at(cls, url: str) -> RemoteFolder:
+        """Return the folder at an address.
+
+        Raises:
+            RunError: the file system's package is missing, or the address contains credentials.
+        """
+        if "@" in PurePosixPath(url.partition("://")[2]).parts[0]:
+            what = "the address contains credentials, which would be recorded with the run"
+            raise RunError(what, fix="give them in the environment, for example AWS_ACCESS_KEY_ID")
+        with explained(url):
+            from fsspec.core import url_to_fs
+
+            local = url.partition(":")[0] in _LOCAL
+            system, root = url_to_fs(url, **({"auto_mkdir": True} if local else {}))
+        return cls(url, system, root.rstrip("/"))
+
+    @property
+    def name(self) -> str:
+        """Its last part."""
+        return PurePosixPath(self.root).name
+
+    def files(self) -> dict[str, str]:
+        """Return the state of each file below by its path in the file system; empty if there is none."""
+        with explained(self.url):
+            self.system.invalidate_cache()
+            found = self.system.find(self.root, detail=True)
+        return {
+            name: " ".join(f"{key}={info[key]}" for key in _STATES if key in info)
+            for name, info in sorted(found.items())
+            if info.get("type") == "file" and not name.endswith("/")
+        }
+
+    def key(self, files: Mapping[str, str]) -> str:
+        """Return the key of a copy of these files."""
+        return content_key(self.url, *(f"{name} {state}" for name, state in files.items()))
+
+    def download(self, files: Iterable[str], copy: Path) -> None:
+        """Copy these files of the folder, or the file itself, to a path."""
+        places = {}
+        for file in files:
+            places[file] = copy / PurePosixPath(file).relative_to(self.root)
+            if not places[file].resolve().is_relative_to(copy.resolve()):
+                where = f"{self.url}: {file}"
+                raise RunError("a name leads outside of the folder", where=where)
+            places[file].parent.mkdir(parents=True, exist_ok=True)
+        with explained(self.url):
+            in_parallel(
+                lambda f: self.system.get_file(f, str(places[f])), list(places), stage="fetching"
+            )
 
 
 @contextmanager
-def _explained(url: str) -> Iterator[None]:
-    """Explain the errors of a file system; their types depend on its package."""
+def explained(url: str, done: str = "read", fix: str = "") -> Iterator[None]:
+    """Explain the errors of a file system; their types depend on its package.
+
+    Args:
+        done: what fails, "read" or "written".
+        fix: what to do after the cause is removed.
+    """
     try:
         yield
     except ImportError as error:
@@ -105,12 +151,14 @@ def _explained(url: str) -> Iterator[None]:
             where=url,
             fix="for S3: pip install 'stereogs-plugins[remote]'",
         ) from error
+    except RunError:
+        raise
     except Exception as error:
-        if getattr(error, "errno", None) in _FULL:  # of the cache, which says so
+        if done == "read" and getattr(error, "errno", None) in _FULL:  # of the cache, which says so
             raise
         raise RunError(
-            f"the data cannot be read: {type(error).__name__}: {error}",
+            f"the data cannot be {done}: {type(error).__name__}: {error}",
             where=url,
             fix="check the address, the network and the credentials, which come from the "
-            "environment or, for S3, ~/.aws",
+            f"environment or, for S3, ~/.aws{fix}",
         ) from error

@@ -98,6 +98,7 @@ def read_run(path: Path) -> FinishedRun:
         RunError: not a run folder, an unfinished run, or results.json is invalid or of an older version.
     """
     run = RunFolder.existing(path)
+    path = run.path
     if not (path / RESULTS).exists():
         raise RunError(
             "the run has not finished: it has no results.json",

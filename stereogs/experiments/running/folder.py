@@ -23,9 +23,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from registry import RunError
 from registry.runners import TrainingTask
-from registry.runs.folder import RESULTS, RunFolder, refuse_url
+from registry.runs.folder import RESULTS, RunFolder
 from registry.runs.results import read_results
 from registry.system.lock import locked
+from registry.toolkit.cache.remote import url_of
 
 from ..planning.plan import PlannedRun
 
@@ -93,7 +94,12 @@ class ExperimentFolder:
     """An output folder, which is created when needed."""
 
     def __init__(self, path: Path) -> None:
-        refuse_url(path)
+        if url := url_of(path):
+            raise RunError(
+                "the folder of an experiment is local; runs of `train` and scenes may be remote",
+                where=url,
+                fix="give a local --out, and copy the folder with the tools of the remote file system",
+            )
         self.path = path
 
     def run(self, planned: PlannedRun) -> RunFolder:

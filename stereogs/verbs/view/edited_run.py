@@ -68,7 +68,7 @@ def save_edited(run: Run, kept: Tensor) -> Path:
         edits=edits,
         _scores=None,
     )
-    edited.keep_in(path := unused(folder.path, ""))
+    edited.keep_in(path := unused(folder.lasting, ""))
     written = edited.folder_or_refuse()
     inputs, changed = folder.inputs()
     if inputs is not None:

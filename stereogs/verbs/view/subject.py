@@ -87,7 +87,7 @@ def of_run(run: Run) -> Subject:
     confidence = cache(lambda: run.trained.confidence("calibrated"))
     subject, source = _of(run, run.engine_model, run.kinds), None
     if run.folder is not None:
-        path, exported = run.folder.path / EXPORTS / "scene.ply", run.exported
+        path, exported = run.folder.lasting / EXPORTS / "scene.ply", run.exported
         save_run = partial(save_edited, run)
         source = Source(path, exported.gaussians, exported.attributes, save_run)
     return replace(subject, confidence=confidence if run.photographs else None, source=source)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import fsspec
 import pytest
 from torch import Tensor
 
@@ -63,7 +64,7 @@ def test_a_report_needs_no_plugin_that_only_trained(
 
 def test_what_failed_is_printed_with_its_remedy(capsys: Capture) -> None:
     failure = {"component": "exporters.sog", "what": "no program", "where": "", "fix": "install it"}
-    assert print_failures([failure], Path("runs/x")) == 1
+    assert print_failures([failure], "runs/x") == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[:2] == ["stereogs: exporters.sog: no program", "  fix    install it"]
 
@@ -113,5 +114,8 @@ def test_an_iteration_that_failed_is_repeated(
         assert main(["replay", "run/failures/iteration-0000001"]) == 2
         assert capsys.readouterr().err.splitlines()[0] == told.splitlines()[0]
     assert main(["replay", "run/failures/iteration-0000001"]) == 0
+    monkeypatch.setenv("STEREOGS_CACHE", "cache")
+    fsspec.filesystem("memory").put("run/", "/failed/run", recursive=True)
+    assert main(["replay", "memory://failed/run/failures/iteration-0000001"]) == 0
     assert "succeeds now; it had failed with: the" in capsys.readouterr().out
     assert main(["resume", "run"]) == 0

@@ -1,4 +1,4 @@
-"""A scene on a remote file system trains and opens as if it were here; files name its address only."""
+"""Scenes and runs on a remote file system train and open as if they were here; files name addresses only."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ def _remote_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     write_nerfstudio(Path("here/world"), World())
-    fsspec.filesystem("memory").put("here/world/", "/bucket/world", recursive=True)
+    memory = fsspec.filesystem("memory")
+    memory.store.clear()
+    memory.put("here/world/", "/bucket/world", recursive=True)
     Path("far.yaml").write_text(PIPELINE.replace("URL", URL))
     Path("near.yaml").write_text(PIPELINE.replace("URL", "here/world"))
 
@@ -45,6 +47,25 @@ def test_it_trains_to_the_same_bits_and_is_recorded_by_its_address() -> None:
     assert main(["resume", "near", "--scene", URL]) == 0
 
 
+def test_a_run_is_written_to_an_address_and_read_from_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = "memory://bucket/runs/far"
+    assert main(["train", "far.yaml", "--out", run]) == 0
+    shown = capsys.readouterr().out
+    assert f"writing {run}\n" in shown
+    assert f"pictures  {run}/renders" in shown
+    assert main(["resume", run]) == 0
+    for verb in ("render", "eval"):
+        assert main([verb, run]) == 0
+    assert main(["export", run, "--format", "ply", "--out", "ply"]) == 0
+    assert main(["compare", run, run]) == 0
+    assert stereogs.results(run)["hash"] == stereogs.open_run(run).hash
+    fsspec.filesystem("memory").rm("/bucket/runs/far/results.json")
+    assert main(["report", run]) == 2
+    assert f"stereogs resume {run}\n" in capsys.readouterr().err
+
+
 def test_the_verbs_take_an_address(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", URL]) == 0
     assert main(["train", "far.yaml", "--scene", URL, "--out", "named"]) == 0
@@ -55,10 +76,13 @@ def test_the_verbs_take_an_address(capsys: pytest.CaptureFixture[str]) -> None:
         assert URL in Path(run, "pipeline.yaml").read_text("utf-8")
     for command in (
         ["train", "far.yaml", "--out", URL],
-        ["ablate", "far.yaml", "--out", URL],
+        ["ablate", "far.yaml", "--toggle", "psnr", "--out", f"{URL}2"],
         ["render", URL],
         ["compare", URL],
     ):
         assert main(command) == 2
     assert not Path("memory:").exists()
-    assert f"stereogs train {URL}" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert f"stereogs train {URL}" in printed.out
+    for reason in ("the folder is not empty", "experiment is local", "it has no pipeline.yaml"):
+        assert reason in printed.err

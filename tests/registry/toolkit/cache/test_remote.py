@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import sys
-from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -15,35 +14,11 @@ from fsspec.implementations.memory import MemoryFile
 from registry import RunError
 from registry.toolkit.cache.remote import local_copy, url_of
 
-CREDENTIALS = {"AWS_ACCESS_KEY_ID": "id", "AWS_SECRET_ACCESS_KEY": "key"}
-
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("STEREOGS_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
-
-
-@pytest.fixture(params=["memory", "s3"])
-def root(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The URL of an empty folder."""
-    if request.param == "memory":
-        yield "memory://bucket"
-        fsspec.filesystem("memory").rm("/bucket", recursive=True)
-        return
-    pytest.importorskip("s3fs")
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(port=0)
-    server.start()
-    address, port = server.get_host_and_port()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{address}:{port}")
-    for name, value in CREDENTIALS.items():
-        monkeypatch.setenv(name, value)
-    system = fsspec.filesystem("s3", skip_instance_cache=True)
-    system.mkdir("bucket")
-    system.clear_instance_cache()
-    yield "s3://bucket"
-    system.clear_instance_cache()
-    server.stop()
 
 
 def write(url: str, content: bytes) -> None:
@@ -68,24 +43,24 @@ def test_only_urls_are_remote() -> None:
     assert local_copy(Path("C:/data")) == Path("C:/data")
 
 
-def test_a_folder_is_copied_once_and_again_after_a_change(root: str) -> None:
-    write(f"{root}/scene/images/1.png", b"one")
-    write(f"{root}/scene/poses.npy", b"poses")
-    write(f"{root}/scene-2/poses.npy", b"of another scene")
-    url = Path(f"{root}/scene")
+def test_a_folder_is_copied_once_and_again_after_a_change(remote_root: str) -> None:
+    write(f"{remote_root}/scene/images/1.png", b"one")
+    write(f"{remote_root}/scene/poses.npy", b"poses")
+    write(f"{remote_root}/scene-2/poses.npy", b"of another scene")
+    url = Path(f"{remote_root}/scene")
     copy = local_copy(url)
     assert copy.name == "scene"
     assert files(copy) == {"images/1.png": b"one", "poses.npy": b"poses"}
     began = copy.stat().st_ctime_ns
     assert local_copy(url) == copy
     assert copy.stat().st_ctime_ns == began
-    write(f"{root}/scene/poses.npy", b"other")
+    write(f"{remote_root}/scene/poses.npy", b"other")
     assert files(local_copy(url)) == {"images/1.png": b"one", "poses.npy": b"other"}
     assert files(copy)["poses.npy"] == b"poses", "a run that uses it is not disturbed"
-    one = local_copy(Path(f"{root}/scene/images/1.png"))
+    one = local_copy(Path(f"{remote_root}/scene/images/1.png"))
     assert (one.name, one.read_bytes()) == ("1.png", b"one")
     with pytest.raises(RunError, match="nothing is stored"):
-        local_copy(Path(f"{root}/nothing"))
+        local_copy(Path(f"{remote_root}/nothing"))
 
 
 def test_a_name_that_leads_outside_is_refused(cache: Path) -> None:
