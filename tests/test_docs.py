@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.host import SELECTION, Plugins, TrainingSettings, parse_command
-from tests.packages import install, run_python
+from tests.host import SELECTION, Plugins, TrainingSettings, main, parse_command
+from tests.packages import importable, install
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -67,7 +67,9 @@ def test_the_page_on_python_is_right(
     assert stopped == "False 30 True"
 
 
-def test_the_plugin_of_the_readme_installs_and_trains(tmp_path: Path) -> None:
+def test_the_plugin_of_the_readme_installs_and_trains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page, package = ROOT / "README.md", tmp_path / "package"
     files = {"py": "opaque.py", "toml": "pyproject.toml", "yaml": "opaque.yaml"}
     package.mkdir()
@@ -77,8 +79,9 @@ def test_the_plugin_of_the_readme_installs_and_trains(tmp_path: Path) -> None:
         assert f"`{name}`" in page.read_text("utf-8")
     small = ["scene.width=32", "scene.height=24", "training.iterations=4"]
     options = [word for change in small for word in ("--set", change)]
-    command = ["-m", "stereogs", "train", "opaque.yaml", "--out", "run", *options]
-    run_python(*command, folder=package, site=install([package], tmp_path))
+    monkeypatch.chdir(package)
+    with importable(install([package], tmp_path), monkeypatch):
+        assert main(["train", "opaque.yaml", "--out", "run", *options]) == 0
     lines = (package / "run" / "metrics.jsonl").read_text("utf-8").splitlines()
     assert json.loads(lines[-1])["regularizers.opaque"] > 0
 

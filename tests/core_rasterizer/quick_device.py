@@ -11,7 +11,7 @@ import pyopencl as cl
 import pytest
 import torch
 
-from core_rasterizer import Device
+from core_rasterizer import Device, open_device
 from core_rasterizer.device import KernelText, Program, Variant
 
 OPTIMIZE = "OPTIMIZE"
@@ -76,3 +76,10 @@ class QuickDevice(Device):
             if self.kind == "cpu" and OPTIMIZE not in os.environ and not optimized:
                 patch.setenv("PYOPENCL_BUILD_OPTIONS", "-cl-opt-disable")
             return super()._build(sources, dtype, defines)
+
+
+@cache
+def quick_device() -> QuickDevice:
+    """The default device."""
+    device = open_device()
+    return QuickDevice(device, device.variant, device.shares_memory)

@@ -42,8 +42,8 @@ def same_in_threads(work: Callable[[int], list[Tensor]]) -> None:
 
 def test_renders_in_threads_do_not_disturb_each_other(device: Device) -> None:
     generator = torch.Generator().manual_seed(0)
-    scenes = [random_scene(generator, 60 + 200 * number) for number in range(THREADS)]
-    cameras = [random_camera(generator, 90 + 70 * number, 80) for number in range(THREADS)]
+    scenes = [random_scene(generator, 30 + 60 * number) for number in range(THREADS)]
+    cameras = [random_camera(generator, 40 + 30 * number, 36) for number in range(THREADS)]
 
     def work(number: int) -> list[Tensor]:
         leaves = scenes[number].tensors(torch.float32)
@@ -55,7 +55,7 @@ def test_renders_in_threads_do_not_disturb_each_other(device: Device) -> None:
 
 
 def test_losses_in_threads_do_not_disturb_each_other(device: Device) -> None:
-    images = torch.rand(THREADS, 2, 90, 120, 3, generator=torch.Generator().manual_seed(1))
+    images = torch.rand(THREADS, 2, 30, 40, 3, generator=torch.Generator().manual_seed(1))
 
     def work(number: int) -> list[Tensor]:
         rgb = images[number, 0].clone().requires_grad_()

@@ -10,6 +10,7 @@ import torch
 from core_rasterizer import Camera, GaussianModel, Gaussians, open_device
 from registry import Component, Context, Scene, Step, View
 from registry.testing import step_of
+from tests.core_rasterizer.quick_device import quick_device
 
 ComponentType = TypeVar("ComponentType", bound=Component[Any])
 
@@ -59,7 +60,7 @@ def moment_with(
     Args:
         absolute: collect absolute screen gradients too.
     """
-    model = GaussianModel(gaussians, open_device())
+    model = GaussianModel(gaussians, quick_device())
     camera = Camera(torch.eye(4), 64, 64, 32, 24, 64, 48)
     image = (torch.arange(64) % 8 < 4).float()[None, :, None].expand(48, 64, 3).contiguous()
     scene = Scene("stripes", (View("stripes", camera, image),), (), (1.0, 10.0))

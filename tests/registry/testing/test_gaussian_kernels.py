@@ -10,6 +10,7 @@ from torch import Tensor
 
 from core_rasterizer import GaussianKernel, GaussianReader
 from registry.testing import check_kernel
+from tests.core_rasterizer.quick_device import quick_device
 
 
 def kernel(source: str, **named: Any) -> GaussianKernel:
@@ -36,12 +37,12 @@ RIGHT = "pull = weights * lane_abs(d_opacity_logits); total = pull;"
     ids=["right", "sign", "sum"],
 )
 def test_a_difference_is_found(source: str, found: str | None) -> None:
-    weights = torch.rand(70)
+    given: dict[str, Any] = {"device": quick_device(), "count": 70, "weights": torch.rand(70)}
     if found is None:
-        check_kernel(kernel(source), pulls, count=70, weights=weights)
+        check_kernel(kernel(source), pulls, **given)
     else:
         with pytest.raises(AssertionError, match=found):
-            check_kernel(kernel(source), pulls, count=70, weights=weights)
+            check_kernel(kernel(source), pulls, **given)
 
 
 def test_another_name_is_found() -> None:
@@ -49,4 +50,4 @@ def test_another_name_is_found() -> None:
     with pytest.raises(
         AssertionError, match=r"\['pull'\], those of the reference \['pull', 'total'\]"
     ):
-        check_kernel(other, lambda model: pulls(model, torch.ones(60)))
+        check_kernel(other, lambda model: pulls(model, torch.ones(60)), device=quick_device())

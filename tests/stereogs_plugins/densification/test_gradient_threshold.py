@@ -11,6 +11,7 @@ from stereogs_plugins.densification.gradient_threshold import (
     GradientThreshold,
     stereogs_register_densifications,
 )
+from tests.core_rasterizer.quick_device import quick_device
 from tests.stereogs_plugins.building import (
     build,
     moment_with,
@@ -77,7 +78,7 @@ def test_splits_may_go_by_gradients_that_do_not_cancel() -> None:
     assert usual.split.tolist() == [False, False, False]
     assert edit.split.tolist() == [False, False, True]
     assert edit.clone.tolist() == [True, True, False]
-    check(GradientThreshold, absolute_threshold=4e-4)
+    check(GradientThreshold, absolute_threshold=4e-4, device=quick_device())
 
 
 def test_the_limits_scale_with_the_extent() -> None:

@@ -6,10 +6,11 @@ from functools import partial
 import pytest
 import torch
 
-from core_rasterizer import Camera, GaussianModel, Gaussians, Rendering, open_device
+from core_rasterizer import Camera, GaussianModel, Gaussians, Rendering
 from registry import Scene, Step, View
 from registry.testing import check_term, step_of
 from stereogs_plugins.regularizers.virtual_stereo import Kind, VirtualStereo, term
+from tests.core_rasterizer.quick_device import quick_device
 from tests.stereogs_plugins.building import build, moment_with, some_gaussians
 
 
@@ -111,6 +112,7 @@ def test_the_kernel_agrees_with_torch(
         solid=mask.flip(0) if masked and kind == "expected" else None,
         moves=moves,
         smoothness=0.7,
+        device=quick_device(),
     )
 
 
@@ -121,7 +123,7 @@ def wall(photograph: torch.Tensor, opacity: float = 0.9) -> tuple[Step, Gaussian
     places = camera.unproject(u, v, 4 + 0.02 * random(30, 40)).reshape(-1, 3).float()
     sizes, opacities = torch.full((1200,), 0.05), torch.full((1200,), opacity)
     gaussians = Gaussians.from_points(places, photograph.reshape(-1, 3), sizes, opacities, 0)
-    model = GaussianModel(gaussians, open_device(), dtype=torch.float64)
+    model = GaussianModel(gaussians, quick_device(), dtype=torch.float64)
     return step_on(model, View("wall", camera, photograph)), model
 
 

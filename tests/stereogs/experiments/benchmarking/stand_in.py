@@ -30,9 +30,6 @@ def main(mode: str, data: str, out: str, *places: str) -> int:
 def train(mode: str, data: Path, out: Path) -> int:
     import numpy as np
     import pycolmap
-    import torch
-
-    from core_rasterizer import Gaussians, save_ply
 
     model = pycolmap.Reconstruction(str(data / "sparse" / "0"))
     names = sorted(image.name for image in model.images.values())
@@ -40,27 +37,24 @@ def train(mode: str, data: Path, out: Path) -> int:
     if sorted(path.name for path in (data / "images").iterdir()) != names:
         return 4
     points = [model.points3D[key] for key in sorted(model.points3D)]
-    means = torch.tensor(np.array([point.xyz for point in points]), dtype=torch.float32)
-    colors = torch.tensor(np.array([point.color for point in points]) / 255, dtype=torch.float32)
     # The wall is a sphere around the cameras, in the grey of the photographs.
-    wall = torch.nn.functional.normalize(
-        torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
+    wall = np.random.default_rng(0).normal(size=(4000, 3))
+    wall *= 7 / np.linalg.norm(wall, axis=1, keepdims=True)
+    means = np.concatenate([[point.xyz for point in points], wall]) + 1000 * (mode == "moved")
+    colors = np.concatenate([[point.color for point in points], np.full((4000, 3), 60)]) / 255
+    sizes = np.repeat([-3.0, -1.2], [len(points), 4000])[:, None].repeat(3, axis=1)
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1))
+    properties = (
+        "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
     )
-    sizes = torch.cat([torch.full((len(means), 3), -3.0), torch.full((4000, 3), -1.2)])
-    means, colors = torch.cat([means, 7 * wall]), torch.cat([colors, 0 * wall + 60 / 255])
-    count = len(means)
     for step, opacity in ((1, -6.0), (2, 6.0)):
-        gaussians = Gaussians(
-            means=means + 1000 * (mode == "moved"),
-            log_scales=sizes,
-            quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-            opacity_logits=torch.full((count,), opacity),
-            sh=((colors - 0.5) / 0.28209479177387814)[:, None],
-        )
-        file = out / f"splat_{step}.ply"
-        save_ply(gaussians, file)
-        if mode == "damaged":
-            file.write_bytes(file.read_bytes()[:-9])
+        opacities = np.full((len(means), 1), opacity)
+        bands = (colors - 0.5) / 0.28209479177387814
+        rows = np.concatenate([means, bands, opacities, sizes, rotations], axis=1).astype("<f4")
+        header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(means)}"]
+        header += [f"property float {name}" for name in properties.split()]
+        content = "\n".join([*header, "end_header\n"]).encode() + rows.tobytes()
+        (out / f"splat_{step}.ply").write_bytes(content[: -9 if mode == "damaged" else None])
         time.sleep(0.2)
     return 0
 
