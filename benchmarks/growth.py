@@ -2,8 +2,8 @@
 
 Trains `weightfree_fast` for 30 iterations on the procedural room (96x72) as the command line does, each
 number of views in a new process without the cache of prior answers. What is measured is recorded at once;
-`--views` measures some numbers again. With `--write-docs` the table and the picture in `docs/many_photographs.md`
-are rewritten.
+`--views` measures some numbers again. With `--write-docs` the table and the picture in
+`docs/many_photographs.md` are rewritten.
 """
 
 from __future__ import annotations
