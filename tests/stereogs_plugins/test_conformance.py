@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from core_rasterizer import Gaussians, save_ply
 from registry import Prior, TrainingView
 from registry.priors import DepthMap, MultiViewDepthPrior
 from registry.testing import check, tiny_scene
+from tests.core_rasterizer.quick_device import quick_device
 from tests.host import GROUP, Offer, Plugins
 from tests.stereogs_plugins.building import build
 from tests.stereogs_plugins.metrics.lpips_network import onnx_difference, sha256
@@ -228,6 +230,7 @@ BY_ANOTHER_PROGRAM = ("exporters.html", "exporters.sog")
 """What that program writes differs from call to call; see exporters/test_splat_transform.py."""
 
 
+@cache
 def shipped() -> dict[str, Offer]:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text("utf-8"))
     entries = project["project"]["entry-points"][GROUP]
@@ -249,11 +252,11 @@ def test_none_is_left_out() -> None:
 )
 def test_it_keeps_the_contract(name: str, write: Write, tmp_path: Path) -> None:
     priors: dict[str, Prior[Any]] = {"matcher": build(BlockMatcher), "wall": build(Wall)}
-    check(shipped()[name].component, priors=priors, **write(tmp_path))
+    check(shipped()[name].component, priors=priors, device=quick_device(), **write(tmp_path))
 
 
 @pytest.mark.parametrize(
     ("name", "settings"), [(name, given) for name, each in BY_THEMSELVES.items() for given in each]
 )
 def test_it_keeps_the_contract_by_itself(name: str, settings: Settings) -> None:
-    check(shipped()[name].component, **settings)
+    check(shipped()[name].component, device=quick_device(), **settings)
