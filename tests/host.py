@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from registry.runs.evaluation import evaluate
     from registry.runs.folder import RunFolder
     from registry.runs.opening import load_run
-    from registry.runs.preparation import Loaded, Prepared
+    from registry.runs.preparation import Prepared
     from registry.runs.progress import MetricsLog, TrainingProgress
     from registry.runs.results import Failure, Results, SceneRecord
     from registry.runs.training_run import start_run

@@ -63,15 +63,6 @@ class Loaded:
         scene = load_scene(parts.one("scene"))
         return Loaded(parts, scene, self.seconds + monotonic() - begin)
 
-    def of(self, pipeline: Pipeline) -> Loaded:
-        """Return the scene with the components of another pipeline.
-
-        Raises:
-            PluginError: a component needs a prior or an output that the pipeline does not have.
-        """
-        refuse_unmet_needs(pipeline, absolute_gradients=_absolute(self.parts.device))
-        return replace(self, parts=self.parts.following(pipeline))
-
 
 @dataclass(frozen=True, eq=False)
 class Prepared:

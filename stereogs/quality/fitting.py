@@ -15,10 +15,10 @@ from registry.errors import PipelineError
 from registry.messages.suggestions import counted
 from registry.pipeline.pipeline import Pipeline
 from registry.runs.folder import ChooseFolder, refuse_occupied
-from registry.runs.preparation import Loaded, Prepared, load, prepare, running
+from registry.runs.preparation import Prepared, load, prepare, running
 from registry.runs.training_run import train_prepared
 
-from .table import MANY, MANY_FROM, MANY_REASON, MANY_TIMES, SHORT, Quality, by_quality
+from .table import MANY, MANY_VIEWS, SHORT, Quality, by_quality, for_many
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,8 +48,6 @@ class Fit:
 
     Args:
         log: receives lines of at most 80 characters.
-        load: loads the ready pipelines for a choice among them; the given one is SHORT, perhaps with
-            another name. None: the given one trains.
         size: longer side of the photographs in pixels, if it is given.
         adapts_size: whether time and memory choose the size.
         kept: settings that the command line names, such as "scene.frames".
@@ -61,9 +59,7 @@ class Fit:
     adapts_size: bool = False
     kept: Collection[str] = ()
     device: str | None = None
-    load: Load | None = None
     _shrunk: bool = field(default=False, init=False)
-    _many: bool = field(default=False, init=False)
 
     def train(
         self, pipeline: Pipeline, options: RunOptions, out: Path | ChooseFolder | None = None
@@ -76,7 +72,7 @@ class Fit:
             resized = self.resized(pipeline, loaded.scene)
             if resized is not pipeline:
                 loaded = loaded.again(resized)
-            initial = prepare(self.for_many(loaded), active)
+            initial = prepare(loaded, active)
             fitted = self.fitted(initial)
             if fitted is not initial.pipeline:
                 initial = initial.of(fitted)
@@ -140,26 +136,12 @@ class Fit:
         self.log("  --size PIXELS chooses the longer side")
         return with_loader(pipeline, {"max_size": found.pixels})
 
-    def for_many(self, loaded: Loaded) -> Loaded:
-        """Return the scene with the pipeline for many views, if it has them and the pipeline is free."""
-        if self.load is None or len(loaded.scene.train) < MANY_FROM:
-            return loaded
-        try:
-            many = self.load(MANY)
-        except PipelineError as error:
-            self.log(f"not {MANY}, because of the changes: {error.what}")
-            return loaded
-        self._many = True
-        return loaded.of(_on_scene_of(loaded.parts.pipeline, many))
-
     def _cpu_seconds_left(self) -> float | None:
         """CPU seconds that the process can expect until the end of the budget; None: no limit."""
         return None
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline that trains, with the same scene, priors and initializer."""
-        if self._many:
-            log_choice(initial.pipeline, MANY_REASON, initial, self.log)
         return initial.pipeline
 
     def hurried(self, initial: Prepared) -> str:
@@ -181,21 +163,25 @@ class Fit:
 
 @dataclass
 class WithQuality(Fit):
-    """Trains a folder with the pipeline of a quality."""
+    """Trains a folder with the pipeline of a quality.
+
+    Args:
+        load: loads the ready pipelines, which initialize in the same way; the given one is SHORT, perhaps
+            with another name.
+    """
 
     load: Load = field(kw_only=True)
     quality: Quality = "good"
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline of the quality for the number of training views."""
-        chosen, reason = initial.pipeline, MANY_REASON
-        if self._many:
-            count = chosen.training.iterations
-            chosen = chosen.scaled(round(MANY_TIMES[self.quality] * count))
+        choice = by_quality(self.quality)
+        if (many := pipeline_for_many(initial, self.load, self.log)) is not None:
+            choice = for_many(self.quality)
+            chosen = many.scaled(round(choice.longest * many.training.iterations))
         else:
-            name, reason, _ = by_quality(self.quality)
-            chosen = ready(name, initial, self.load)
-        log_choice(chosen, reason, initial, self.log)
+            chosen = ready(choice.name, initial, self.load)
+        log_choice(chosen, choice.reason, initial, self.log)
         return chosen
 
     def closing(self, run: Run) -> Iterator[str]:
@@ -221,12 +207,19 @@ def ready(name: str, initial: Prepared, load: Load) -> Pipeline:
     """Load a pipeline of the table for the number of training views, with the scene as it was read."""
     if name == SHORT:
         return initial.pipeline
-    return _on_scene_of(initial.pipeline, load(name).for_views(len(initial.scene.train)))
+    loaded = load(name).for_views(len(initial.scene.train))
+    return replace(loaded, items={**loaded.items, "scene": initial.pipeline.items["scene"]})
 
 
-def _on_scene_of(read: Pipeline, other: Pipeline) -> Pipeline:
-    """Return the other pipeline with the scene's settings of the one that it was read with."""
-    return replace(other, items={**other.items, "scene": read.items["scene"]})
+def pipeline_for_many(initial: Prepared, load: Load, log: Log) -> Pipeline | None:
+    """Return the pipeline for many training views; None for fewer, or if changes do not fit it."""
+    if len(initial.scene.train) < MANY_VIEWS:
+        return None
+    try:
+        return ready(MANY, initial, load)
+    except PipelineError as error:
+        log(f"not {MANY}, because of the changes: {error.what}")
+        return None
 
 
 def log_choice(chosen: Pipeline, reason: str, initial: Prepared, log: Log) -> None:

@@ -51,17 +51,17 @@ def given_fit(request: TrainRequest) -> Fit:
     from .fitting import Fit, WithQuality
     from .within_seconds import Budget, WithinSeconds
 
-    given, log = request.arguments, console().print
+    given, log, load = request.arguments, console().print, request.load
     is_folder = not request.pipeline_named
     kept = _changed(given)
     adapts = is_folder and not kept & {SIZE, "scene.downsample"}
     chosen = {"size": given.size, "adapts_size": adapts, "kept": kept, "device": given.device}
-    chosen["load"] = load = request.load if is_folder else None
     if given.seconds:
-        return WithinSeconds(log, **chosen, budget=Budget(given.seconds, request.begin))
-    if load is None or LENGTH in kept:
+        budget = Budget(given.seconds, request.begin)
+        return WithinSeconds(log, **chosen, budget=budget, load=load if is_folder else None)
+    if not is_folder or load is None:
         return Fit(log, **chosen)
-    return WithQuality(log, **chosen, quality=given.quality or "good")
+    return WithQuality(log, **chosen, load=load, quality=given.quality or "good")
 
 
 class _Size(argparse.Action):

@@ -21,8 +21,8 @@ from registry.pipeline.pipeline import Pipeline
 from registry.runs.preparation import Prepared
 from registry.system.cores import usable_cores
 
-from .fitting import HURRIED, Fit, log_choice, ready, with_loader
-from .table import GROWTH, MANY_REASON, MANY_TIMES, SHORT, by_length
+from .fitting import HURRIED, Fit, Load, log_choice, pipeline_for_many, ready, with_loader
+from .table import GROWTH, MANY_LEAST, SHORT, by_length, for_many
 
 if TYPE_CHECKING:
     from registry.runs.run import Run
@@ -72,10 +72,12 @@ class WithinSeconds(Fit):
     """Trains as long as a budget allows, and at least 30 iterations.
 
     Args:
-        budget: seconds for the run. Without `load` the pipeline never trains more than its own iterations.
+        load: loads the ready pipelines for a choice among them, as in `WithQuality`; None: the given
+            pipeline trains, at most its own number of iterations.
     """
 
     budget: Budget = field(kw_only=True)
+    load: Load | None = None
     _measured: Measured | None = field(default=None, init=False)
     _began: float = field(default=0.0, init=False)
     _spent: float = field(default=0.0, init=False)
@@ -115,15 +117,18 @@ class WithinSeconds(Fit):
         from .rehearsal import SharedState
 
         self._shared, reason, longest = SharedState(initial.parts), "", 1.0
-        self._measure(initial, None if self.load is None or self._many else SHORT)
-        if self._many:
-            reason, longest = MANY_REASON, MANY_TIMES["best"]
-        elif self.load is not None:
+        self._measure(initial, None if self.load is None else SHORT)
+        if self.load is not None:
             affordable = self._affordable()
             choice = by_length(affordable / initial.pipeline.training.iterations)
+            many = None
+            if affordable >= MANY_LEAST:
+                many = pipeline_for_many(initial, self.load, self.log)
+            if many is not None:
+                choice = for_many("best")
             reason, longest = choice.reason, choice.longest
             if choice.name != SHORT:
-                initial = initial.of(ready(choice.name, initial, self.load))
+                initial = initial.of(many or ready(choice.name, initial, self.load))
                 self._measure(initial, choice.name, again=affordable >= MIN_ITERATIONS)
         most = round(longest * self._whole.training.iterations)
         self._least = min(MIN_ITERATIONS, most)

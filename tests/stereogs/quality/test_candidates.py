@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from stereogs.quality.table import BEST, LONG, QUALITIES, QUICK, SHORT, by_quality
+from stereogs.quality.table import BEST, LONG, MANY, QUALITIES, QUICK, SHORT, by_quality
 from tests.host import SELECTION, Plugins, load_pipeline
 
 
@@ -17,7 +17,7 @@ def test_the_candidate_pipelines_have_the_same_initial_points(
     monkeypatch.delenv(SELECTION)
     first, *others = (
         load_pipeline(Path(name), Plugins(), overrides=["scene=procedural"])
-        for name in (SHORT, QUICK, LONG, BEST)
+        for name in (SHORT, QUICK, LONG, BEST, MANY)
     )
     for other in others:
         for section in ("priors", "initializer"):

@@ -36,7 +36,7 @@ from stereogs.quality.within_seconds import (
     Budget,
     WithinSeconds,
 )
-from tests.host import Field, Loaded, Plugins, Prepared, evaluate, parse_pipeline, start_run
+from tests.host import Field, Plugins, Prepared, evaluate, parse_pipeline, start_run
 
 TEXT = """\
 name: {name}
@@ -247,9 +247,6 @@ def chosen(
     )
 
     class Choosing(Fit):
-        def for_many(self, loaded: Loaded) -> Loaded:
-            return plan.for_many(loaded)
-
         def fitted(self, initial: Prepared) -> Pipeline:
             found.append(plan.fitted(initial))
             raise Chosen
@@ -277,7 +274,7 @@ def test_a_quality_is_a_pipeline_and_a_length(
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> None:
     """The two training views of the toy scene are many."""
-    monkeypatch.setattr("stereogs.quality.fitting.MANY_FROM", 2)
+    monkeypatch.setattr("stereogs.quality.fitting.MANY_VIEWS", 2)
 
 
 @pytest.mark.parametrize(("quality", "iterations"), [("fast", 300), ("good", 800), ("best", 2400)])
@@ -295,19 +292,18 @@ def test_seconds_choose_the_length_for_many_views(
 ) -> None:
     found = chosen(toys, device, Machine(monkeypatch).budget(600))
     assert (found.name, found.training.iterations) == (MANY, 2400)
-    assert chosen(toys, device, Machine(monkeypatch).budget(12)).training.iterations < 800
+    assert chosen(toys, device, Machine(monkeypatch).budget(30)).name == SHORT
 
 
 def test_many_views_train_the_usual_pipeline_if_changes_fit_only_that(
     toys: Plugins, device: Device, tmp_path: Path, many: None
 ) -> None:
     def load(name: str) -> Pipeline:
-        return parse_pipeline(
-            TEXT.format(name=name, iterations=9), toys, overrides=["modifiers.absent.rate=1"]
-        )
+        text = TEXT.format(name=name, iterations=9)
+        return parse_pipeline(text, toys, overrides=["modifiers.absent.rate=1"])
 
     said: list[str] = []
-    plan = Fit(said.append, load=load)
+    plan = WithQuality(said.append, load=load)
     assert trained(pipeline(toys, iterations=8), device, tmp_path / "run", plan).iteration == 8
     assert said[0].startswith(f"not {MANY}, because of the changes: ")
 
