@@ -18,7 +18,7 @@ from registry.runs.folder import ChooseFolder, refuse_occupied
 from registry.runs.preparation import Prepared, load, prepare, running
 from registry.runs.training_run import train_prepared
 
-from .table import MANY, MANY_VIEWS, SHORT, Quality, by_quality, for_many
+from .table import MANY, MANY_LEAST, MANY_VIEWS, SHORT, Quality, by_quality, for_many
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -212,14 +212,15 @@ def ready(name: str, initial: Prepared, load: Load) -> Pipeline:
 
 
 def pipeline_for_many(initial: Prepared, load: Load, log: Log) -> Pipeline | None:
-    """Return the pipeline for many training views; None for fewer, or if changes do not fit it."""
+    """Return the pipeline for many views; None for few views or iterations, or if changes do not fit it."""
     if len(initial.scene.train) < MANY_VIEWS:
         return None
     try:
-        return ready(MANY, initial, load)
+        many = ready(MANY, initial, load)
     except PipelineError as error:
         log(f"not {MANY}, because of the changes: {error.what}")
         return None
+    return many if many.training.iterations >= MANY_LEAST else None
 
 
 def log_choice(chosen: Pipeline, reason: str, initial: Prepared, log: Log) -> None:

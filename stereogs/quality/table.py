@@ -38,8 +38,8 @@ MANY, MANY_VIEWS = "many_views", 25
 MANY_TIMES: dict[Quality, float] = {"fast": 0.375, "good": 1.0, "best": 3.0}
 """Its length for each quality, as a multiple of its own."""
 MANY_LEAST = 1000
-"""It is not chosen if fewer of SHORT's iterations fit: its rates are low. On mview_temple with 21 views its
-PSNR is 3.1 dB higher than SHORT's after 1,500 iterations, and 2.5 dB lower after 500."""
+"""It is not chosen for fewer iterations, as its rates are low; with a time limit, iterations of SHORT count.
+On mview_temple with 21 views its PSNR is 3.1 dB above SHORT's after 1,500, and 2.5 dB below it after 500."""
 GROWTH = {
     QUICK: (1.0, 1.0),
     SHORT: (1.15, 1.3),

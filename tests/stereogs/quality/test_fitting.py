@@ -237,7 +237,7 @@ def chosen(
 
     def load(name: str) -> Pipeline:
         assert name != SHORT, "it is at hand"
-        return pipeline(toys, name, {QUICK: quick, LONG: 1200, BEST: 3600, MANY: 800}[name])
+        return pipeline(toys, name, {QUICK: quick, LONG: 1200, BEST: 3600, MANY: 1600}[name])
 
     found: list[Pipeline] = []
     plan = (
@@ -277,7 +277,7 @@ def many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereogs.quality.fitting.MANY_VIEWS", 2)
 
 
-@pytest.mark.parametrize(("quality", "iterations"), [("fast", 300), ("good", 800), ("best", 2400)])
+@pytest.mark.parametrize(("quality", "iterations"), [("fast", 600), ("good", 1600), ("best", 4800)])
 def test_many_views_have_a_pipeline_of_their_own(
     toys: Plugins, device: Device, many: None, quality: Quality, iterations: int
 ) -> None:
@@ -291,21 +291,27 @@ def test_seconds_choose_the_length_for_many_views(
     toys: Plugins, device: Device, many: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = chosen(toys, device, Machine(monkeypatch).budget(600))
-    assert (found.name, found.training.iterations) == (MANY, 2400)
+    assert (found.name, found.training.iterations) == (MANY, 4800)
     assert chosen(toys, device, Machine(monkeypatch).budget(30)).name == SHORT
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("modifiers.absent.rate=1", f"not {MANY}, because of the changes: "),
+        ("training.iterations=999", f"trained: {SHORT}, 8 iterations"),
+    ],
+)
 def test_many_views_train_the_usual_pipeline_if_changes_fit_only_that(
-    toys: Plugins, device: Device, tmp_path: Path, many: None
+    toys: Plugins, device: Device, tmp_path: Path, many: None, change: str, said: str
 ) -> None:
     def load(name: str) -> Pipeline:
-        text = TEXT.format(name=name, iterations=9)
-        return parse_pipeline(text, toys, overrides=["modifiers.absent.rate=1"])
+        return parse_pipeline(TEXT.format(name=name, iterations=4000), toys, overrides=[change])
 
-    said: list[str] = []
-    plan = WithQuality(said.append, load=load)
+    lines: list[str] = []
+    plan = WithQuality(lines.append, load=load)
     assert trained(pipeline(toys, iterations=8), device, tmp_path / "run", plan).iteration == 8
-    assert said[0].startswith(f"not {MANY}, because of the changes: ")
+    assert lines[0].startswith(said)
 
 
 @pytest.mark.parametrize(
