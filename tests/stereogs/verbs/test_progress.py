@@ -17,7 +17,7 @@ ROOM = (
     "scene={use: procedural, width: 96, height: 72, test_views: 1}",
     "training.iterations=20",
 )
-STAGES = ["reading", "depth", "points", "training", "scoring", "files", "page"]
+STAGES = ["reading", "depth", "points", "completing", "training", "scoring", "files", "page"]
 WIDTH = 60
 
 

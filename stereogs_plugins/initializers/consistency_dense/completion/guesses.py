@@ -87,7 +87,7 @@ def guesses(
             depth[shown_elsewhere(all_evidence[index], evidence, [images[k] for k in others])] = 0
         return depth, count
 
-    found = in_parallel(filled, range(len(scene.train)))
+    found = in_parallel(filled, range(len(scene.train)), stage="completing")
     known = sum(int((depth > 0).sum()) for depth in confirmed)
     share = known / max(1, known + sum(count for _, count in found))
     if share >= MIN_CONFIRMED:
