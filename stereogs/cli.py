@@ -153,7 +153,7 @@ def build_parser(given: Sequence[str] | None) -> argparse.ArgumentParser:
     """
     parser = CommandParser(
         prog="stereogs",
-        description="Three to a hundred photographs become a 3D Gaussian scene.",
+        description="Three to eighty photographs become a 3D Gaussian scene.",
         epilog=_EPILOG,
         formatter_class=HelpFormatter,
     )

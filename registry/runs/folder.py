@@ -179,7 +179,7 @@ class RunFolder:
             self.remote.take()
             try:
                 yield
-            except Exception:
+            except Exception:  # of the training: send its last checkpoint, and raise it
                 with suppress(RunError):
                     self.remote.try_to_send()
                 raise

@@ -18,7 +18,7 @@ from registry.runs.folder import ChooseFolder, refuse_occupied
 from registry.runs.preparation import Prepared, load, prepare, running
 from registry.runs.training_run import train_prepared
 
-from .table import MANY, MANY_LEAST, MANY_VIEWS, SHORT, Quality, by_quality, for_many
+from .table import FOR_MANY, MANY, MANY_LEAST, MANY_TIMES, MANY_VIEWS, SHORT, Quality, by_quality
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -175,12 +175,13 @@ class WithQuality(Fit):
 
     def fitted(self, initial: Prepared) -> Pipeline:
         """Return the pipeline of the quality for the number of training views."""
-        choice = by_quality(self.quality)
-        if (many := pipeline_for_many(initial, self.load, self.log)) is not None:
-            choice = for_many(self.quality)
-            chosen = many.scaled(round(choice.longest * many.training.iterations))
-        else:
+        many = pipeline_for_many(initial, self.load, self.log)
+        if many is None:
+            choice = by_quality(self.quality)
             chosen = ready(choice.name, initial, self.load)
+        else:
+            choice = FOR_MANY
+            chosen = many.scaled(round(MANY_TIMES[self.quality] * many.training.iterations))
         log_choice(chosen, choice.reason, initial, self.log)
         return chosen
 

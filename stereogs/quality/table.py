@@ -36,7 +36,8 @@ SHORT_TIMES, LONG_TIMES = 1.75, 1.75
 MANY, MANY_VIEWS = "many_views", 25
 """The ready pipeline, with the same initialization, from this number of training views on."""
 MANY_TIMES: dict[Quality, float] = {"fast": 0.375, "good": 1.0, "best": 3.0}
-"""Its length for each quality, as a multiple of its own."""
+"""Number of iterations for each quality, as a multiple of the pipeline's."""
+FOR_MANY = Choice(MANY, f"there are {MANY_VIEWS} training views or more", MANY_TIMES["best"])
 MANY_LEAST = 1000
 """It is not chosen for fewer iterations, as its rates are low; with a time limit, iterations of SHORT count.
 On mview_temple with 21 views its PSNR is 3.1 dB above SHORT's after 1,500, and 2.5 dB below it after 500."""
@@ -45,15 +46,10 @@ GROWTH = {
     SHORT: (1.15, 1.3),
     LONG: (1.3, 1.6),
     BEST: (1.5, 1.9),
-    MANY: (2.0, 3.5),
+    MANY: (1.9, 2.8),
 }
 """Mean and final number of Gaussians as a multiple of the initial number, on llff_fern and llff_flower with
 three views, of MANY on llff_flower with 25."""
-
-
-def for_many(quality: Quality) -> Choice:
-    """Return the pipeline for `MANY_VIEWS` training views or more; its `longest` is that of the quality."""
-    return Choice(MANY, f"there are {MANY_VIEWS} training views or more", MANY_TIMES[quality])
 
 
 def by_quality(quality: Quality) -> Choice:

@@ -22,7 +22,7 @@ from registry.runs.preparation import Prepared
 from registry.system.cores import usable_cores
 
 from .fitting import HURRIED, Fit, Load, log_choice, pipeline_for_many, ready, with_loader
-from .table import GROWTH, MANY_LEAST, SHORT, by_length, for_many
+from .table import FOR_MANY, GROWTH, MANY_LEAST, SHORT, by_length
 
 if TYPE_CHECKING:
     from registry.runs.run import Run
@@ -125,7 +125,7 @@ class WithinSeconds(Fit):
             if affordable >= MANY_LEAST:
                 many = pipeline_for_many(initial, self.load, self.log)
             if many is not None:
-                choice = for_many("best")
+                choice = FOR_MANY
             reason, longest = choice.reason, choice.longest
             if choice.name != SHORT:
                 initial = initial.of(many or ready(choice.name, initial, self.load))

@@ -85,7 +85,7 @@ def _print_next_steps(folder: RunFolder, output: Console) -> None:
     for file in folder.results()["reports"]:
         output.print(f"  open {folder.path / file} in a browser to turn the scene")
     output.print(
-        "  stereogs check FOLDER   with a folder of your own photographs, three to a hundred\n"
+        "  stereogs check FOLDER   with a folder of your own photographs, three to eighty\n"
         "  stereogs train FOLDER"
     )
 

@@ -80,6 +80,6 @@ class QuickDevice(Device):
 
 @cache
 def quick_device() -> QuickDevice:
-    """The default device."""
+    """Return the default device as a `QuickDevice`."""
     device = open_device()
     return QuickDevice(device, device.variant, device.shares_memory)

@@ -125,9 +125,9 @@ __kernel void compare_signs(
     }
 }
 
-/* The right image's costs: its column x at disparity d is the left column x + d at d. Beyond the left
- * image they are those of the left column 0, which has no match at d >= 1 either. Again, the work-items of
- * a pixel share its disparities. */
+/* The right image's costs: its column x at disparity d is the left column x + d at d. Past the edge
+ * of the left image it takes the costs of column 0, which has no match at d >= 1. As above, the work-items
+ * of a pixel share its disparities. */
 __kernel void costs_of_right(
     __global const uchar *left_costs, __global uchar *right_costs, int width, int depth)
 {

@@ -4,9 +4,9 @@
                               .fern.remote.json     its address, and what of it was sent
                               checksum.txt          only if all was sent: the cache may remove it
 
-Files are sent in an order in which what is there is always a complete run. The remote file `.writer` names
-the copy that trains; whoever resumes the run elsewhere replaces it, and the former copy sends nothing more.
-This is not a lock: while one machine takes over from another, both may write for a moment.
+Files are sent in such an order that the remote folder is a complete run at any time. The remote file
+`.writer` names the copy that trains. `resume` on another machine replaces it, and the former copy stops
+sending. This is not a lock: while one machine takes over from another, both may write for a moment.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class RemoteRun:
         write_json(self.record, {**record, "writers": [own]})
 
     def send(self, *, last: bool = False) -> None:
-        """Send what has changed, and remove what is no longer here.
+        """Send new and changed files, and delete remote files that were deleted here.
 
         Args:
             last: nothing will change any more, so the cache may remove the copy.
@@ -199,7 +199,7 @@ class RemoteRun:
 
 
 def _record(folder: Path) -> Path:
-    folder = folder.resolve()  # `.` has no name
+    folder = folder.resolve()  # Path('.').name is empty
     return folder.with_name(f".{folder.name}.remote.json")
 
 

@@ -61,7 +61,7 @@ def local_copy(path: Path) -> Path:
 
 
 def no_cache(url: str) -> RunError:
-    """Return the error if there is no place for a copy."""
+    """Return the error for a cache that is disabled or cannot be written."""
     return RunError(
         "remote data needs the cache, which is disabled or cannot be written",
         where=url,
