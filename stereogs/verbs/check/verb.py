@@ -87,6 +87,7 @@ class Check(Command):
             from registry.training.scene_facts import warnings
 
             from .facts import MAIN, facts
+            from .pose_fit import pose_fault
             from .scene_picture import scene_picture
 
             device = open_device(arguments.device)
@@ -99,6 +100,9 @@ class Check(Command):
             known += [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts]
         _print_columns(output, known if arguments.details else known[:MAIN])
         found_faults = warnings(scene)
+        if offer.name != "photos":  # which finds the poses itself, and checks them
+            fault = pose_fault((*scene.train, *scene.test))
+            found_faults = [*([fault] if fault else []), *found_faults]
         for text in found_faults:
             output.print(f"warning: {text}")
         save_png(scene_picture(scene), picture, {DRAWN: "stereogs check"})
