@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from registry.toolkit.images import grey
-from registry.toolkit.photos.lens import import_pycolmap
+from registry.toolkit.photos import import_pycolmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -100,7 +100,7 @@ class Check(Command):
             known += [(fact.name.replace("_", " "), str(fact)) for fact in scene.facts]
         _print_columns(output, known if arguments.details else known[:MAIN])
         found_faults = warnings(scene)
-        if offer.name != "photos":  # which finds the poses itself, and checks them
+        if not _connected(scene):  # loaders that find cameras check them
             fault = pose_fault((*scene.train, *scene.test))
             found_faults = [*([fault] if fault else []), *found_faults]
         for text in found_faults:
@@ -111,12 +111,14 @@ class Check(Command):
         return 0
 
 
-def _verdict(scene: Scene, warnings: int) -> str:
-    """Return how many photographs can be used.
+def _connected(scene: Scene) -> list[str]:
+    """Return the fact `connected`, for example "5 of 6", of loaders that find cameras; else nothing."""
+    return [str(fact) for fact in scene.facts if fact.name == "connected"]
 
-    Loaders that find cameras report the fact `connected`, for example "5 of 6".
-    """
-    connected = [str(fact) for fact in scene.facts if fact.name == "connected"]
+
+def _verdict(scene: Scene, warnings: int) -> str:
+    """Return how many photographs can be used."""
+    connected = _connected(scene)
     what = f"{counted(len(scene.train) + len(scene.test), 'photograph')} with cameras"
     if connected:
         what = f"{connected[0]} photographs connect"
