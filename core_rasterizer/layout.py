@@ -40,6 +40,9 @@ MAX_LOGIT = 30
 the sigmoid's slope of 9e-14 is still large enough for Adam; at 100 it is not, and a logit would never return.
 """
 
+LARGEST = 1e37
+"""REAL_LARGEST of the kernels; larger values are not rendered, larger gradients become 0."""
+
 CAPACITY_STEP = 16
 """Parameter arrays are padded to a multiple of this, the widest vector of any kernel."""
 

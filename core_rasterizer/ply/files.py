@@ -25,7 +25,8 @@ from ..errors import PlyError
 from ..gaussians import SH_C0, Gaussians
 from ..layout import MAX_LOGIT
 from .header import CONVERT, read_header
-from .values import read_as_parameters
+from .overflow import without_overflow
+from .values import MIN_LOG_SCALE, read_as_parameters
 
 if TYPE_CHECKING:
     from plyfile import PlyData
@@ -121,14 +122,15 @@ def load_ply(path: str | Path) -> Gaussians:
     """Read Gaussians of SH degree 0 to 3 from a PLY file, text or binary.
 
     Properties may come in any order, and unknown ones are ignored. red, green, blue may replace the constant
-    SH band. Infinite opacity logits, which some programs write for opacities of 0 and 1, become -30 and 30.
-    Opacities in [0, 1], lengths and colours in place of logits, logarithms and SH coefficients are converted
+    SH band. Infinite opacity logits, which some programs write for opacities of 0 and 1, become -30 and 30,
+    and log-scales of minus infinity -87. Quaternions of length 0 become the identity. Gaussians that overflow
+    in single precision are left out, with a warning. Opacities in [0, 1], lengths and colours in place of logits, logarithms and SH coefficients are converted
     where their values leave no doubt, with a warning, except in files that `save_ply` wrote. A warning says
     if the scene moves, or was trained with an anti-aliasing filter that a plain rendering lacks.
 
     Raises:
         PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has another value that
-            is not finite; the message names the property and the row.
+            is not finite, or only Gaussians that overflow; the message names the property and the row.
     """
     path = Path(path)
     header, vertex = _read_vertices(path)
@@ -154,11 +156,14 @@ def load_ply(path: str | Path) -> Gaussians:
         )
     logits = vertex["opacity"]
     logits[np.isinf(logits)] = np.copysign(MAX_LOGIT, logits[np.isinf(logits)])
+    for name in _SCALE:
+        vertex[name][np.isneginf(vertex[name])] = MIN_LOG_SCALE
     columns = {name: _column(vertex, name, path) for name in (*required, *rest)}
     if painted:
         constant = (_plain_colors(vertex, path) - 0.5) / SH_C0
         columns.update(zip(_CONSTANT_BAND, constant.unbind(1), strict=True))
-    return _gaussians_from(columns, rest, path, keep=_COMMENT in header.comments)
+    gaussians = _gaussians_from(columns, rest, path, keep=_COMMENT in header.comments)
+    return without_overflow(gaussians, path)
 
 
 def _not_gaussians(missing: list[str], available: set[str], path: Path) -> PlyError:

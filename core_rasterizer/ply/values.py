@@ -8,6 +8,7 @@ logarithms and coefficients are negative.
 from __future__ import annotations
 
 import logging
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,9 @@ from torch import Tensor
 
 from ..gaussians import SH_C0
 from ..layout import MAX_LOGIT
+
+MIN_LOG_SCALE = math.log(torch.finfo(torch.float32).tiny)
+"""Stands for a length of 0."""
 
 _ENOUGH = 8
 """Fewer values are too few to conclude anything from their range."""

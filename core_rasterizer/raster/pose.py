@@ -7,9 +7,8 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..device import Device, DeviceArray, Program, Scratch
-from ..layout import POSE
+from ..layout import LARGEST, POSE
 from .block import Block
-from .request import LARGEST
 
 _CHUNKS = 256
 """Runs of blocks that are summed in parallel; constant, for a fixed order of summation."""

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..errors import CameraError, GaussianError
-from ..layout import CAMERA
+from ..layout import CAMERA, LARGEST
 
 NEAR_PLANE = 0.2
 """Gaussians nearer than this z-depth are culled (3DGS), world units."""
@@ -20,8 +20,6 @@ DILATION = 0.3
 """Added to the variances of every ellipse (3DGS), square pixels."""
 POSED = "POSED"
 """Macro of kernels for the gradient of the pose."""
-LARGEST = 1e37
-"""REAL_LARGEST of the kernels; larger values are not rendered, larger gradients become 0."""
 
 
 @dataclass(frozen=True)
