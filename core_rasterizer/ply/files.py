@@ -124,9 +124,10 @@ def load_ply(path: str | Path) -> Gaussians:
     Properties may come in any order, and unknown ones are ignored. red, green, blue may replace the constant
     SH band. Infinite opacity logits, which some programs write for opacities of 0 and 1, become -30 and 30,
     and log-scales of minus infinity -87. Quaternions of length 0 become the identity. Gaussians that overflow
-    in single precision are left out, with a warning. Opacities in [0, 1], lengths and colours in place of logits, logarithms and SH coefficients are converted
-    where their values leave no doubt, with a warning, except in files that `save_ply` wrote. A warning says
-    if the scene moves, or was trained with an anti-aliasing filter that a plain rendering lacks.
+    in single precision are left out, with a warning. Opacities in [0, 1], lengths and colours in place of
+    logits, logarithms and SH coefficients are converted where their values leave no doubt, with a warning,
+    except in files that `save_ply` wrote. A warning says if the scene moves, or was trained with an
+    anti-aliasing filter that a plain rendering lacks.
 
     Raises:
         PlyError: the file is missing, truncated, not a PLY, not a Gaussian scene, or has another value that
