@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from registry import Exporter, Frame, Register, Scene, Settings, hookimpl
@@ -17,6 +18,8 @@ _log = logging.getLogger(__name__)
 
 _FRACTIONAL_BITS = 12
 """The publisher's own choice, which some readers require."""
+_REACH = 2047
+"""Largest coordinate of 24 bits in steps of 1/4096."""
 _LOG_SCALES = (-10.0, 5.9)
 """What the format can hold."""
 _SCALE_MARGIN, _POSITION_MARGIN = 2.0, 1.5
@@ -30,7 +33,7 @@ class SpzExporter(Exporter[Settings]):
 
     The format's axes are x right, y up, z back: the scene is rotated by 180 degrees about x, and readers
     rotate it back. A scene whose coordinates the format cannot hold gets another origin and unit, and a
-    warning names them.
+    warning names them. Gaussians that are still too far away, such as a sky's, are brought nearer.
     """
 
     def export(self, model: GaussianReader, scene: Scene, folder: Path) -> list[Path]:
@@ -46,6 +49,8 @@ class SpzExporter(Exporter[Settings]):
                 "point (%s), and its unit is %g of the scene's",
                 *(path, ", ".join(f"{value:.9g}" for value in frame.center), frame.unit),
             )
+            if not _fit(gaussians):
+                gaussians = _within_reach(gaussians, path)
         path.write_bytes(spz_bytes(half_turned(gaussians), _FRACTIONAL_BITS))
         return [path]
 
@@ -57,6 +62,27 @@ def _fit(gaussians: Gaussians) -> bool:
     reach = float(gaussians.means.abs().max())
     coarse = math.log(max(2.0**-_FRACTIONAL_BITS, reach * 2.0**-23))
     return low < typical < high and coarse < typical - _POSITION_MARGIN
+
+
+def _within_reach(gaussians: Gaussians, path: Path) -> Gaussians:
+    """Return the Gaussians; those beyond what positions in steps of 1/4096 can hold are brought nearer.
+
+    They shrink in proportion, so that the view from the origin does not change.
+    """
+    factors = (_REACH / gaussians.means.abs().amax(dim=1)).clamp(max=1)
+    moved = int((factors < 1).sum())
+    if moved:
+        _log.warning(
+            "%s: %d of %d Gaussians, farther away than %d units, would make all positions coarse. They are "
+            "brought nearer and made smaller in proportion",
+            *(path, moved, len(gaussians), _REACH),
+        )
+    means, log_scales = gaussians.means, gaussians.log_scales
+    return replace(
+        gaussians,
+        means=means * factors[:, None],
+        log_scales=log_scales + factors.log()[:, None],
+    )
 
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
