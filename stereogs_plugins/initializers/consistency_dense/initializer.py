@@ -9,6 +9,7 @@ guessed depths in holes (`fill`), coarse points behind foreground edges (`back_l
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     needs_priors = ("multi_view_depth",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return at least one point, with facts, a picture and the confirmed depth of each training view.
+        """Return at least one point, with facts, a picture and the confirmed depth of up to `max_views` views.
 
         Raises:
             PluginError: the pipeline has no multi-view depth prior of a name in `prior`, or `prior` is
@@ -59,8 +60,12 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .scene_analysis.contradictions import without_outvoted
         from .scene_analysis.plain_background import PlainAreas
         from .view_depth import ViewDepth
+        from .visibility import spread
 
-        settings = self.settings
+        settings, all_views = self.settings, len(scene.train)
+        scene = replace(scene, train=spread(scene.train, settings.max_views))
+        if len(scene.train) < all_views:
+            _log.info("%s: depth of %d of %d views", scene.name, len(scene.train), all_views)
         min_consistent = self._min_consistent(scene)
         areas = PlainAreas.of(scene.train)
         selected = self._selected_depths(scene, priors, min_consistent, areas)
@@ -143,7 +148,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         needed = self.settings.min_consistent or default_min_consistent(len(scene.train))
         if needed > others:
             raise SceneError(
-                f"{needed} other views must confirm a depth (`min_consistent`), but the scene has {others}",
+                f"{needed} other views must confirm a depth (`min_consistent`), but {others} have one",
                 where=scene.name,
                 fix=f"set `min_consistent` to at most {others}, or use more training views",
             )

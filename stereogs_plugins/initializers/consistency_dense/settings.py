@@ -18,6 +18,8 @@ class ConsistencyDenseSettings(Settings):
     """Name of the multi-view depth prior; null takes the pipeline's only one. With a list, each pixel takes
     the depth that most other views confirm; ties go to the earlier prior. A mapping gives a name or list
     for each of the three kinds of scene (forward-facing, object, surrounding)."""
+    max_views: int | None = Field(None, ge=2)
+    """Estimate the depth of at most this many training views, evenly spread over their order; null: of all."""
     max_reprojection_error: float = Field(1.0, gt=0)
     """Largest reprojection error of a pixel, through another view and back, in pixels."""
     max_depth_error: float = Field(0.01, gt=0, lt=1)

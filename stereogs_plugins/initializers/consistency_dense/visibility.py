@@ -47,9 +47,10 @@ def source_indices(
     return tuple(tuple(sorted(found)) for found in source_views(cameras, MAX_SOURCES, bounds))
 
 
-def spread(views: Sequence[View]) -> Sequence[View]:
-    """At most `MOST_VIEWS` views, evenly spread over the given order."""
-    return views[:: -(-len(views) // MOST_VIEWS)]
+def spread(views: Sequence[View], most: int | None = MOST_VIEWS) -> tuple[View, ...]:
+    """At most `most` views, evenly spread over the given order; None: all."""
+    count = min(most or len(views), len(views))
+    return tuple(views[number * len(views) // count] for number in range(count))
 
 
 def in_free_space(points: Floats, views: Views) -> Mask:

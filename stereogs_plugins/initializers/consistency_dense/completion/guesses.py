@@ -94,7 +94,7 @@ def guesses(
         return [depth for depth, _ in found]
     _log.warning(
         "%s: other views confirm %.0f %% of the surface, too little to guess the rest. If the photographs "
-        "show the same things, check the cameras: axes, unit and order of the poses. Otherwise add "
+        "show the same things, check axes, unit and order of the poses (`stereogs check`). Otherwise add "
         "photographs, or take some closer to each other",
         scene.name,
         100 * share,

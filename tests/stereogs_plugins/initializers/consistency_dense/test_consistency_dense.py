@@ -96,6 +96,20 @@ def test_the_cap_is_kept_and_one_seed_gives_one_choice(scene: Scene) -> None:
     assert not torch.equal(first.positions, other.positions)
 
 
+def test_depth_is_estimated_of_max_views_only(scene: Scene) -> None:
+    asked = []
+
+    def depth_of(view: View) -> Tensor:
+        asked.append(view.name)
+        return true_depth(view)
+
+    points = dense(scene, depth_of, max_views=2, hand_on_depth=True)
+    names = [view.name for view in scene.train]
+    assert asked == names[:2]
+    assert list(points.maps) == list(points.facts["views"]) == names[:2]
+    assert len(points) == len(dense(replace(scene, train=scene.train[:2])))
+
+
 @pytest.mark.parametrize(("views", "kept"), [(3, 1000), (48, 1000), (96, 2000), (300, 5000)])
 def test_more_than_48_views_keep_more_points(views: int, kept: int) -> None:
     assert len(build(ConsistencyDense, 1, max_points=1000)._chosen(5000, views)) == kept

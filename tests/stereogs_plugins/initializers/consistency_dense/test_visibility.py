@@ -48,9 +48,18 @@ def test_one_view_of_several_is_enough() -> None:
     assert not in_free_space(POINTS, []).any()
 
 
-@pytest.mark.parametrize(("count", "step"), [(3, 1), (48, 1), (49, 2), (300, 7)])
-def test_tests_of_all_points_look_into_at_most_48_views(count: int, step: int) -> None:
-    assert spread(range(count)) == range(0, count, step)
+@pytest.mark.parametrize(("count", "most"), [(3, 48), (48, 48), (49, 48), (300, 7), (87, 32)])
+def test_a_choice_of_views_is_even(count: int, most: int) -> None:
+    chosen = np.array(spread(range(count), most))
+    assert len(chosen) == min(count, most)
+    gaps = np.diff(chosen, prepend=0, append=count)[1:]
+    assert chosen[0] == 0
+    assert 1 <= gaps.min() <= gaps.max() <= gaps.min() + 1
+
+
+def test_without_a_limit_all_views_are_chosen() -> None:
+    assert spread(range(300), None) == tuple(range(300))
+    assert len(spread(range(300))) == 48
 
 
 def test_few_views_are_all_source_views() -> None:

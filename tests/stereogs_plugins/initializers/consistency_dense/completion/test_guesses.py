@@ -64,7 +64,7 @@ def test_matched_features_replace_points_if_little_is_confirmed(
     caplog.set_level("INFO")
     points = dense(scene, in_lowest(0.15), stride=3, sigma=0.5, opacity=0.9, **COMPLETE)
     assert "too little to guess" in caplog.text
-    assert "check the cameras" in caplog.text
+    assert "stereogs check" in caplog.text
     assert f"starts from {len(points)} matched features" in caplog.text
     assert points.facts["points_by_kind"] == {"matched": len(points)}
     assert points.kinds["matched"].all()
