@@ -34,6 +34,7 @@ from ..training.checkpoint import (
     Checkpoint,
     explain_misfit,
     load_checkpoint,
+    rates_after,
     write_checkpoint,
 )
 from ..training.initial_model import new_model
@@ -224,6 +225,7 @@ def keep_failure(run: Run, iteration: int, error: Exception) -> None:
             "iteration": iteration,
             "what": error.what if isinstance(error, ExplainedError) else repr(error),
             "inputs": input_digests(run.scene, run.pipeline),
+            RECOVERIES: run.recoveries,
         }
         place = run.folder.folder(FAILURES) / f"iteration-{iteration:07d}"
         shutil.rmtree(place, ignore_errors=True)  # the same iteration, failed before
@@ -243,7 +245,8 @@ def _train_until(last: int, newest: Checkpoint, run: Run) -> Checkpoint:
         "repeating from iteration %d to keep the checkpoint before the failure",
         newest.iteration + 1,
     )
-    trainer = restore(Parts(run.pipeline, run.engine_model.engine), run.scene, newest)
+    parts = Parts(run.pipeline, run.engine_model.engine)
+    trainer = restore(parts, run.scene, newest, rates=rates_after(run.recoveries))
     try:
         for done in trainer.run():
             if done.number == last:

@@ -29,6 +29,7 @@ from ..training.checkpoint import (
     Checkpoint,
     explain_misfit,
     load_checkpoint,
+    rates_after,
 )
 from ..training.trainer import Iteration, Trainer
 from .evaluation import evaluate, quick
@@ -131,7 +132,7 @@ def continue_run(path: Path, options: RunOptions, plugins: Plugins) -> Run:
         refuse_changed_plugins(folder.plugins, used, path, accept=accept)
         checkpoint = run.checkpoint()
         with explain_misfit(path / CHECKPOINT):
-            rates = 0.5 ** len(run.recoveries)
+            rates = rates_after(run.recoveries)
             trainer = restore(run.parts, run.scene, checkpoint, run.engine_model, rates)
         record_changed_inputs(run, folder)
         metrics = _metrics_after(checkpoint, run)
@@ -198,7 +199,7 @@ def _train_or_recover(
             if not options.recover or run.folder is None or most:
                 raise
             checkpoint = load_checkpoint(run.folder.path / CHECKPOINT)
-            rates = 0.5 ** (len(run.recoveries) + 1)
+            rates = rates_after([*run.recoveries, error])
             found = {"iteration": trainer.iteration + 1, "back_to": checkpoint.iteration}
             run.recoveries.append({**found, "rates": rates, "error": str(error.what)})
             _log.warning(

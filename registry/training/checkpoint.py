@@ -17,7 +17,7 @@ import logging
 import math
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +46,11 @@ EDITS = "edits"
 _MANIFEST, _PIPELINE, _TENSORS = "manifest.json", "pipeline.yaml", "tensors.safetensors"
 _NAME = re.compile(r"iteration-([0-9]{7,})(?:-([0-9]+))?")
 _log = logging.getLogger(__name__)
+
+
+def rates_after(recoveries: Sequence[object]) -> float:
+    """Factor of the learning rates: each recovery halves them."""
+    return 0.5 ** len(recoveries)
 
 
 @dataclass(frozen=True, eq=False)

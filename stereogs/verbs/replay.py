@@ -97,7 +97,12 @@ def repeat_failure(
     from registry.runs.sources.places import in_its_place
     from registry.toolkit.cache.remote import url_of
     from registry.training.assembly import restore
-    from registry.training.checkpoint import explain_misfit, read_checkpoint
+    from registry.training.checkpoint import (
+        RECOVERIES,
+        explain_misfit,
+        rates_after,
+        read_checkpoint,
+    )
 
     if url_of(place):
         run = place.parent.parent
@@ -124,6 +129,7 @@ def repeat_failure(
     if not accept_changed_inputs:
         refuse_changed_inputs(inputs, loaded, pipeline, place)
     with explain_misfit(place):
-        trainer = restore(parts, loaded, checkpoint)
+        rates = rates_after(notes.get(RECOVERIES, []))
+        trainer = restore(parts, loaded, checkpoint, rates=rates)
     next(done for done in trainer.run() if done.number == iteration)
     return Failure(iteration, str(notes.get("what")))

@@ -45,7 +45,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
     needs_priors = ("multi_view_depth",)
 
     def initialize(self, scene: TrainingScene, priors: Mapping[str, Prior[Any]]) -> PointCloud:
-        """Return at least one point, with facts, a picture and the confirmed depth of up to `max_views` views.
+        """Return at least one point, with facts, pictures and confirmed depths of up to `max_views` views.
 
         Raises:
             PluginError: the pipeline has no multi-view depth prior of a name in `prior`, or `prior` is

@@ -19,7 +19,7 @@ class ConsistencyDenseSettings(Settings):
     the depth that most other views confirm; ties go to the earlier prior. A mapping gives a name or list
     for each of the three kinds of scene (forward-facing, object, surrounding)."""
     max_views: int | None = Field(None, ge=2)
-    """Estimate the depth of at most this many training views, evenly spread over their order; null: of all."""
+    """Estimate the depth of at most this many training views, evenly spread in their order; null: of all."""
     max_reprojection_error: float = Field(1.0, gt=0)
     """Largest reprojection error of a pixel, through another view and back, in pixels."""
     max_depth_error: float = Field(0.01, gt=0, lt=1)

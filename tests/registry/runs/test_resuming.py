@@ -16,7 +16,7 @@ from torch import Tensor
 
 import registry.runs.training_run as training_run
 from core_rasterizer import Device, ExplainedError, GaussianError
-from registry import PluginError, RunError, Scene
+from registry import PluginError, RunError, Scene, Step
 from registry.runs.folder import RunFolder
 from registry.runs.opening import load_run
 from registry.runs.options import RunOptions
@@ -25,7 +25,7 @@ from registry.runs.run import Run
 from registry.runs.training_run import continue_run, start_run
 from tests.host import Plugins, Trainer, read_checkpoint, write_checkpoint
 from tests.registry.runs.toy_run import pipeline, resumed, run
-from tests.registry.toy_plugin import ToyScene
+from tests.registry.toy_plugin import ToyScene, ToyTerm
 
 
 @pytest.fixture
@@ -188,6 +188,35 @@ def test_a_run_that_recovers_goes_back_with_half_the_rates_and_says_so(
     usual, _, _ = run(toys, device, tmp_path / "usual")
     assert "recoveries" not in usual.results()
     assert usual.results()["hash"] != done.hash
+
+
+def test_a_failure_after_a_recovery_is_kept_with_the_bits_of_the_lower_rates(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    again = pipeline(toys, "training.checkpoint_every=8")
+    options = spoiling(1, device=device, recover=True)
+
+    def stop(done: Any) -> bool | None:
+        assert options.callback is not None
+        options.callback(done)
+        return bool(done.number < 22)
+
+    sound = start_run(again, replace(options, callback=stop), tmp_path / "sound")
+    loss = ToyTerm.loss
+
+    def fails(self: ToyTerm, step: Step) -> Any:
+        if step.iteration == 23:
+            raise ZeroDivisionError("late")
+        return loss(self, step)
+
+    monkeypatch.setattr(ToyTerm, "loss", fails)
+    with pytest.raises(PluginError, match="late"):
+        start_run(again, spoiling(1, device=device, recover=True), tmp_path / "fails")
+    kept = read_checkpoint(tmp_path / "fails" / "failures" / "iteration-0000023")
+    whole = sound.checkpoint()
+    assert kept.iteration == whole.iteration == 22
+    assert [n for n, t in kept.tensors.items() if not torch.equal(t, whole.tensors[n])] == []
+    assert kept.notes["recoveries"] == sound.recoveries
 
 
 def test_a_run_recovers_five_times(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,29 @@ def test_the_checkpoint_before_a_failure_is_kept_and_repeats_the_error(
     monkeypatch.setattr(ToyTerm, "loss", lambda self, step: step.rendering.alpha.mean())
     mended = replay(place / "manifest.json", plugins=toys, device=device)
     assert (mended.iteration, mended.what) == (11, first.what)
+
+
+def test_a_failure_after_recoveries_is_repeated_with_the_lower_rates(
+    toys: Plugins, device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert train(toys, device, tmp_path / "run", "crash") is not None
+    place = tmp_path / "run" / "failures" / FAILED
+    failed = read_checkpoint(place)
+    notes = {**failed.notes, "recoveries": [{"rates": 0.5}, {"rates": 0.25}]}
+    shutil.rmtree(place)
+    write_checkpoint(replace(failed, notes=notes), place)
+    rates: list[float] = []
+
+    def loss(self: ToyTerm, step: Step) -> Any:
+        rates.append(step.learning_rates["opacity_logits"])
+        return step.rendering.alpha.mean()
+
+    monkeypatch.setattr(ToyTerm, "loss", loss)
+    replay(place, plugins=toys, device=device)
+    write_checkpoint(failed, tmp_path / "run" / "failures" / "usual")
+    replay(tmp_path / "run" / "failures" / "usual", plugins=toys, device=device)
+    quarter, _, _, whole = rates  # two terms each
+    assert quarter == whole / 4
 
 
 def test_the_kept_checkpoint_has_the_bits_of_a_run_that_did_not_fail(
