@@ -250,7 +250,8 @@ def treatment_of(settings: PhotosSettings) -> str:
     """What the cameras depend on beside the photographs and a prior."""
     from .photogrammetry.learned_matches import known_files
 
-    return f"{settings.matching_size} {settings.share_lens} {known_files() is not None}"
+    networks = [path.name for path in known_files() or ()]
+    return f"{settings.matching_size} {settings.share_lens} {networks}"
 
 
 def _origin(prior: PosedDepthPrior[Any] | None) -> str:

@@ -13,6 +13,7 @@ from PIL import Image
 from stereogs_plugins.scenes.photos import PhotosScene
 from stereogs_plugins.scenes.photos.found_cameras import FoundCameras, remembered_cameras
 from stereogs_plugins.scenes.photos.loader import treatment_of
+from stereogs_plugins.scenes.photos.photogrammetry import learned_matches
 from stereogs_plugins.scenes.photos.photogrammetry.structure_from_motion import Reconstruction
 from stereogs_plugins.scenes.photos.unposed_photos import UnposedPhoto, read_folder
 from tests.stereogs_plugins.building import build
@@ -49,6 +50,18 @@ def test_short_time_matches_smaller_photographs_unless_their_cameras_are_known(
     assert PhotosScene.within(missing, 0) is missing
     find[0](treatment_of(asked), read_folder(large).photos)
     assert PhotosScene.within(asked, 0) is asked
+
+
+def test_each_conversion_of_the_networks_has_its_own_cameras(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = build(PhotosScene, path=folder).settings
+    asked = set()
+    for names in (None, ("finder.onnx", "matcher.onnx"), ("aliked.onnx", "lightglue.onnx")):
+        files = names and tuple(map(Path, names))
+        monkeypatch.setattr(learned_matches, "known_files", lambda files=files: files)
+        asked.add(treatment_of(settings))
+    assert len(asked) == 3
 
 
 @pytest.fixture
