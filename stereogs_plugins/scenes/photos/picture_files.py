@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +29,11 @@ _DATABASES = (".db", ".h5")
 """Suffixes of features and matches of COLMAP and hloc, which are found anew."""
 _CAMERAS = (".xml", ".out", ".nvm", ".sfm", ".psx", ".rcproj", ".rsproj", ".mg")
 """Suffixes of cameras and projects of Metashape, Bundler, VisualSfM, RealityScan and Meshroom."""
+_CAMERA_NAME = re.compile(
+    r"(.*[^a-z])?(cams?|cameras?|poses?|intrinsics?|extrinsics?|trajectory)([^a-z].*)?",
+    re.IGNORECASE,
+)
+"""Names of text files with cameras, as of MVSNet (00000000_cam), KITTI (poses) and RealityScan (cameras)."""
 _DATA_SUFFIXES = (".json", ".npy", ".npz", ".bin", ".mat", ".exr", ".pfm")
 _DATA_NAMES = ("cameras.txt", "images.txt", "points3d.txt")
 """Files of data sets, which other loaders read."""
@@ -155,7 +161,8 @@ def readable_pictures(folder: Path) -> tuple[list[Path], list[Path], list[LeftOu
 def _what(path: Path) -> str:
     """What a file that is not a picture is."""
     suffix = path.suffix.lower()
-    if suffix in _CAMERAS:
+    named = suffix in (".txt", ".csv") and _CAMERA_NAME.fullmatch(path.stem)
+    if suffix in _CAMERAS or named:
         return "cameras of another program; export them for COLMAP to use them"
     return "a database of matches; they are found anew" if suffix in _DATABASES else "not a picture"
 

@@ -95,10 +95,12 @@ def test_a_file_that_is_not_a_picture_is_left_out(tmp_path: Path) -> None:
         load(tmp_path)
     assert "left out: 1.jpg: the photograph cannot be read" in caught.value.what
     write_pictures(tmp_path, 3)
-    for name in ("database.db", "cameras.xml"):
+    cameras = ("cameras.xml", "00000000_cam.txt", "poses.txt", "cam_12.csv", "KRT_intrinsics.txt")
+    for name in ("database.db", "campus.txt", *cameras):
         (tmp_path / name).touch()
     assert reasons(tmp_path) == {
-        "cameras.xml": "cameras of another program; export them for COLMAP to use them",
+        **dict.fromkeys(cameras, "cameras of another program; export them for COLMAP to use them"),
+        "campus.txt": "not a picture",
         "database.db": "a database of matches; they are found anew",
         "notes.txt": "not a picture",
     }
