@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from registry import Initializer, PointCloud, Prior, Register, SceneError, TrainingScene, hookimpl
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-FULL_VIEWS = 48
-"""Training views up to which `max_points` holds."""
 PATCH_STEP = 0.05
 """Relative depth difference between neighbouring pixels of different patches."""
 
@@ -92,9 +89,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         ]
         points = self._point_cloud(self._layers(scene, views, analysis), views, analysis)
         if settings.fill and guessed is None:
-            return matched_or_confirmed(
-                scene, points, self.context.seed, partial(self._chosen, views=len(views))
-            )
+            return matched_or_confirmed(scene, points, self.context.seed, self._chosen)
         return points
 
     def _selected_depths(
@@ -203,14 +198,12 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             for kind, layer in layers.items()
         }
 
-    def _chosen(self, count: int, views: int) -> Tensor:
+    def _chosen(self, count: int) -> Tensor:
         """Sorted indices of the points to keep."""
         import torch
 
-        if self.settings.max_points is None:
-            return torch.arange(count)
-        most = self.settings.max_points * max(views, FULL_VIEWS) // FULL_VIEWS
-        if count <= most:
+        most = self.settings.max_points
+        if most is None or count <= most:
             return torch.arange(count)
         return torch.randperm(count, generator=self.generator)[:most].sort().values
 
@@ -226,7 +219,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
         from .view_depth import PICTURE_COLUMNS, ViewDepth
 
         settings, points = self.settings, joined(list(layers.values()))
-        chosen = self._chosen(len(points), len(views))
+        chosen = self._chosen(len(points))
         sizes = torch.tensor([len(layer) for layer in layers.values()])
         layer_of = torch.arange(len(layers)).repeat_interleave(sizes)[chosen]
         counts = torch.bincount(layer_of, minlength=len(layers)).tolist()

@@ -18,8 +18,9 @@ class ConsistencyDenseSettings(Settings):
     """Name of the multi-view depth prior; null takes the pipeline's only one. With a list, each pixel takes
     the depth that most other views confirm; ties go to the earlier prior. A mapping gives a name or list
     for each of the three kinds of scene (forward-facing, object, surrounding)."""
-    max_views: int | None = Field(None, ge=2)
-    """Estimate the depth of at most this many training views, evenly spread in their order; null: of all."""
+    max_views: int | None = Field(48, ge=2)
+    """Estimate the depth of at most this many training views, evenly spread in their order; null: of all.
+    More take longer and gain little."""
     max_reprojection_error: float = Field(1.0, gt=0)
     """Largest reprojection error of a pixel, through another view and back, in pixels."""
     max_depth_error: float = Field(0.01, gt=0, lt=1)
@@ -33,7 +34,7 @@ class ConsistencyDenseSettings(Settings):
     merge: bool = False
     """Drop points on surfaces that an earlier view has confirmed: fewer points, sharper pictures."""
     max_points: int | None = Field(150_000, ge=1)
-    """Keep a random choice of this many points, in proportion more with over 48 views; null keeps all."""
+    """Keep a random choice of this many points; null keeps all."""
     sigma: float | None = Field(None, gt=0)
     """Size of the Gaussians relative to their spacing in the image; null: from the three nearest
     neighbours."""

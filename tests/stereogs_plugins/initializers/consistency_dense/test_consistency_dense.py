@@ -110,11 +110,6 @@ def test_depth_is_estimated_of_max_views_only(scene: Scene) -> None:
     assert len(points) == len(dense(replace(scene, train=scene.train[:2])))
 
 
-@pytest.mark.parametrize(("views", "kept"), [(3, 1000), (48, 1000), (96, 2000), (300, 5000)])
-def test_more_than_48_views_keep_more_points(views: int, kept: int) -> None:
-    assert len(build(ConsistencyDense, 1, max_points=1000)._chosen(5000, views)) == kept
-
-
 def test_one_view_and_too_few_views_are_explained(scene: Scene) -> None:
     with pytest.raises(SceneError, match="one training view") as caught:
         dense(replace(scene, train=scene.train[:1]))
