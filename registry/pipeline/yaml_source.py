@@ -18,6 +18,7 @@ import yaml
 from yaml.reader import ReaderError
 
 from ..errors import PipelineError
+from ..toolkit.cache.remote import local_copy
 
 Scalar = str | int | float | bool | None
 
@@ -94,11 +95,13 @@ class Node:
 
 
 def read(path: Path) -> Node:
-    """Read a YAML file.
+    """Read a YAML file, also one at an address.
 
     Raises:
         PipelineError: it is missing, not text, or not the YAML described above; with its line.
+        RunError: the address cannot be read.
     """
+    path = local_copy(path)
     try:
         if path.exists() and not path.is_file():
             raise OSError("it is not a regular file")

@@ -34,7 +34,7 @@ from ..system.files import jsonable, new_folder, remove_leftovers, write_json, w
 from ..system.lock import locked
 from ..toolkit.cache.remote import url_of
 from .results import Amount, Record, Results, problem_of, read_results
-from .sources.remote import RemoteRun, opened_copy, refuse_stored, remote_of
+from .sources.remote import IS_FILE, RemoteRun, no_run, opened_copy, refuse_stored, remote_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -105,12 +105,8 @@ class RunFolder:
             return RunFolder(opened_copy(url))
         run = RunFolder(path)
         if not run.pipeline.is_file():
-            reason = "it has no pipeline.yaml" if path.is_dir() else "there is no such folder"
-            raise RunError(
-                f"this is not a run folder: {reason}",
-                where=str(path),
-                fix="give a folder that `stereogs train` wrote",
-            )
+            reason = "it has no pipeline.yaml" if path.exists() else "there is no such folder"
+            raise no_run(IS_FILE if path.is_file() else reason, str(path))
         return run
 
     @staticmethod

@@ -35,10 +35,10 @@ def finish(run: TrainedScene, folder: RunFolder) -> None:
     If a metric, an exporter or a report fails, the others still run; the results list the failures.
     """
     _refuse_overwritten_inputs(run, folder)
-    before = folder.results().get("hash")
-    results = _scored(run, folder, {})
-    if before not in (None, results.hash):
-        _log.warning("the hash was %s when the run was finished before", before)
+    before, results = folder.results(), _scored(run, folder, {})
+    hash_before = before.get("hash", results.hash)
+    if before.get("iterations") == results.iterations and hash_before != results.hash:
+        _log.warning("the hash was %s when the run was finished before", hash_before)
     results.peak_memory_mb = peak_memory_mb()
     begin = monotonic()
     _write_with_outputs(run, folder, results)

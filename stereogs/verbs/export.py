@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from registry import RunError
 from registry.calls.process_state import one_torch_thread
 from registry.messages.suggestions import did_you_mean, listing
+from registry.toolkit.cache.remote import on_this_machine
 
 from ..command_line.arguments import add_run, open_given
 from ..command_line.command import Command
@@ -53,7 +54,7 @@ class Export(Command):
         )
         parser.add_argument(
             "--out",
-            type=Path,
+            type=on_this_machine,
             metavar="DIR",
             help="the folder to write (default: exports in the run folder)",
         )
@@ -147,7 +148,7 @@ def export(
     from registry.runs.results import EXPORTS
 
     item = find_exporter(format_name, changes)
-    place = Path(folder).expanduser() if folder else run.folder_or_refuse().path / EXPORTS
+    place = on_this_machine(Path(folder or run.folder_or_refuse().path / EXPORTS)).expanduser()
     reader = _reader(run, without, min_confidence)
     place.mkdir(parents=True, exist_ok=True)
     part = build_part(item, run.pipeline.training.seed, run.engine_model.engine)

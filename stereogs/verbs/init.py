@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry import PluginError
+from registry.toolkit.cache.remote import on_this_machine
 
 from ..command_line.command import Command
 from ..command_line.output import console
@@ -74,7 +75,7 @@ class Init(Command):
         """Write the file and print the next command."""
         from registry.discovery import Plugins
 
-        path = Path(arguments.name.removesuffix(".yaml") + ".yaml")
+        path = on_this_machine(arguments.name.removesuffix(".yaml") + ".yaml")
         content = text(path, Plugins())
         try:
             with path.open("x", encoding="utf-8") as file:

@@ -100,12 +100,13 @@ def repeat_failure(
     from registry.training.checkpoint import explain_misfit, read_checkpoint
 
     if url_of(place):
-        run = place.parent.parent
+        run = next((up.parent for up in place.parents if up.name == FAILURES), place)
         place = RunFolder.existing(run).path / place.relative_to(run)
     place = place.parent if place.is_file() else place
     fix = f"give a folder in RUN/{FAILURES}; `stereogs resume RUN` continues a run"
-    if not place.is_dir():
-        raise RunError("there is no such folder", where=str(place), fix=fix)
+    if not (place / "manifest.json").is_file():
+        what = "it has no manifest.json" if place.is_dir() else "there is no such folder"
+        raise RunError(f"this is not a failed iteration: {what}", where=str(place), fix=fix)
     checkpoint = read_checkpoint(place)
     pipeline = load_pipeline(place / "pipeline.yaml", plugins)
     notes, last = checkpoint.notes, pipeline.training.iterations

@@ -30,7 +30,8 @@ from ...toolkit.cache.remote import RemoteFolder, explained, no_cache
 from ...toolkit.progress.parallel import in_parallel
 
 PIPELINE, RESULTS, MANIFEST = "pipeline.yaml", "results.json", "manifest.json"
-_WRITER = ".writer"
+IS_FILE = "it is a file"
+_WRITER, _TEST = ".writer", "a test"
 _CHANGED = "the run was removed, or another process has continued it"
 _log = logging.getLogger("stereogs")
 
@@ -54,14 +55,12 @@ def opened_copy(url: str) -> Path:
 
 def _copy(remote: RemoteFolder) -> Path:
     files, writer, cache = remote.files(), _writer(remote), _cache(remote.url)
-    if f"{remote.root}/{PIPELINE}" not in files:
-        reason = "it has no pipeline.yaml" if files else "nothing is stored at this address"
-        fix = "give the address of a folder that `stereogs train` wrote"
-        raise RunError(f"this is not a run folder: {reason}", where=remote.url, fix=fix)
     for record in cache.glob("*/.*.remote.json") if writer else ():
         here = RemoteRun(record)
         if not here.mark.exists() and writer in here.read()["writers"]:
             return here.folder
+    if f"{remote.root}/{PIPELINE}" not in files:
+        raise _no_run(remote, files, writer)
     entry = cache / remote.key(files)
 
     def fetch(place: Path) -> None:
@@ -79,15 +78,35 @@ def _copy(remote: RemoteFolder) -> Path:
     return entry / remote.name
 
 
+def no_run(reason: str, where: str) -> RunError:
+    """Return the error for a path or an address that is not a run folder."""
+    fix = "give a folder that `stereogs train` wrote"
+    if reason == IS_FILE:
+        fix += "; `stereogs view FILE.ply` shows Gaussians"
+    return RunError(f"this is not a run folder: {reason}", where=where, fix=fix)
+
+
+def _no_run(remote: RemoteFolder, files: Mapping[str, str], writer: str | None) -> RunError:
+    if writer in (None, "", _TEST):
+        reason = "it has no pipeline.yaml" if files else "nothing is stored at this address"
+        return no_run(IS_FILE if remote.root in files else reason, remote.url)
+    return RunError(
+        "this is not a run folder yet: its first files were not all sent",
+        where=f"{remote.url}: {str(writer).rpartition(',')[0]}",
+        fix=f"`stereogs resume {remote.url}` on that machine sends them; or delete what is stored "
+        "there, and train again",
+    )
+
+
 def refuse_stored(url: str) -> None:
     """Refuse an address where something is stored, or that cannot be written."""
     remote = RemoteFolder.at(url)
     _cache(url)
-    if remote.files():
+    if remote.files() and _writer(remote) != _TEST:
         fix = f"choose another --out, or continue with `stereogs resume {url}`"
         raise RunError("the folder is not empty", where=url, fix=fix)
     with explained(url, "written"):
-        remote.system.pipe_file(f"{remote.root}/{_WRITER}", b"a test")
+        remote.system.pipe_file(f"{remote.root}/{_WRITER}", _TEST.encode())
         remote.system.rm_file(f"{remote.root}/{_WRITER}")
 
 
@@ -161,10 +180,7 @@ class RemoteRun:
         with explained(remote.url, "written", self._fix):
             for _, names in groupby(changed, key=_order):
                 group = [*names]
-                in_parallel(
-                    lambda n: remote.system.put_file(f"{self.folder / n}", f"{remote.root}/{n}"),
-                    group,
-                )
+                in_parallel(lambda name: remote.upload(self.folder / name, name), group)
                 sent.update({name: here[name] for name in group})
             for name in [name for name in sent if name not in here]:
                 with suppress(FileNotFoundError):

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ...errors import RunError
+from ...system.files import replacing
 from ..progress.parallel import in_parallel
 from .entries import FOLDER_VARIABLE, Cache
 from .keys import content_key
@@ -34,6 +35,17 @@ def url_of(path: Path | str) -> str | None:
         return None
     scheme, rest = found.groups()
     return f"{scheme}:///{rest}" if scheme in _LOCAL else f"{scheme}://{rest}"
+
+
+def on_this_machine(path: Path | str) -> Path:
+    """Return a local path; refuse an address, which would become a folder `s3:` here."""
+    if url := url_of(path):
+        raise RunError(
+            "this must be a path on this machine, not an address",
+            where=url,
+            fix="copy from or to the address with the tools of its file system",
+        )
+    return Path(path)
 
 
 def local_copy(path: Path) -> Path:
@@ -133,6 +145,15 @@ class RemoteFolder:
             in_parallel(
                 lambda f: self.system.get_file(f, str(places[f])), list(places), stage="fetching"
             )
+
+    def upload(self, file: Path, name: str) -> None:
+        """Replace a file of the folder at once: object stores do that, a disk needs a rename."""
+        place = f"{self.root}/{name}"
+        if self.url.partition(":")[0] not in _LOCAL:
+            self.system.put_file(str(file), place)
+            return
+        with replacing(Path(place)) as temporary:
+            self.system.put_file(str(file), str(temporary))
 
 
 @contextmanager

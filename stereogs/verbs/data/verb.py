@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from registry.toolkit.cache.remote import on_this_machine
+
 from ...command_line.command import Command
 from ...command_line.output import console
 
@@ -32,10 +34,12 @@ class Data(Command):
                 name, help=summary, epilog=_EPILOG, formatter_class=parser.formatter_class
             )
             action.add_argument("protocol", metavar="PROTOCOL", help="for example llff-3")
-            action.add_argument("folder", type=Path, metavar="FOLDER", help="of one scene")
+            action.add_argument(
+                "folder", type=on_this_machine, metavar="FOLDER", help="of one scene"
+            )
             if name == "build":
                 action.add_argument(
-                    "--out", type=Path, required=True, metavar="DIR", help="a new folder"
+                    "--out", type=on_this_machine, required=True, metavar="DIR", help="a new folder"
                 )
                 action.add_argument(
                     "--format",

@@ -7,6 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from registry.toolkit.cache.remote import on_this_machine
+
 from ...command_line.command import Command
 from ...command_line.output import console
 
@@ -43,7 +45,7 @@ class Models(Command):
             "--from",
             dest="files",
             nargs="+",
-            type=Path,
+            type=on_this_machine,
             default=[],
             metavar="FILE",
             help="use these files, as published or exported by you, instead of downloading",

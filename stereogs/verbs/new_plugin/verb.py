@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from registry.toolkit.cache.remote import on_this_machine
+
 from ...command_line.command import Command
 from ...command_line.output import console
 
@@ -32,7 +34,9 @@ examples:
         text = "what a prior estimates (default: stereo_disparity)"
         parser.add_argument("--capability", metavar="NAME", help=text)
         text = "the folder to write the package's folder into (default: this one)"
-        parser.add_argument("--into", type=Path, default=Path(), metavar="DIR", help=text)
+        parser.add_argument(
+            "--into", type=on_this_machine, default=Path(), metavar="DIR", help=text
+        )
 
     def run(self, arguments: argparse.Namespace) -> int:
         from .package_files import new_plugin

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from registry.messages.suggestions import counted
+from registry.toolkit.cache.remote import on_this_machine
 
 from ...command_line.arguments import add_run, open_given
 from ...command_line.command import Command
@@ -45,7 +45,10 @@ class Next(Command):
         )
         source = parser.add_mutually_exclusive_group()
         source.add_argument(
-            "--poses", type=Path, metavar="FILE", help="choose from the cameras in a JSON file"
+            "--poses",
+            type=on_this_machine,
+            metavar="FILE",
+            help="choose from the cameras in a JSON file",
         )
         source.add_argument(
             "--pictures",

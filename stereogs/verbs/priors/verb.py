@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import logging
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from registry.toolkit.cache.remote import on_this_machine
 
 from ...command_line.arguments import add_device
 from ...command_line.command import Command
@@ -58,7 +59,7 @@ class Priors(Command):
             formatter_class=parser.formatter_class,
         )
         check.add_argument(
-            "model", type=Path, metavar="MODEL", help="ONNX, or TorchScript (.pt, .ts)"
+            "model", type=on_this_machine, metavar="MODEL", help="ONNX, or TorchScript (.pt, .ts)"
         )
         check.add_argument(
             "--set",

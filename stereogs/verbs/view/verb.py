@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from registry.toolkit.cache.remote import on_this_machine
+
 from ...command_line.arguments import add_accept_changed, add_device, add_scene_folder
 from ...command_line.command import Command
 from ...command_line.output import console
@@ -65,7 +67,7 @@ def _subject(arguments: argparse.Namespace) -> Subject:
     if arguments.subject.suffix.lower() == ".ply":
         from core_rasterizer import open_device
 
-        return of_file(arguments.subject, open_device(arguments.device))
+        return of_file(on_this_machine(arguments.subject), open_device(arguments.device))
     from ...session import open_run
 
     run = open_run(

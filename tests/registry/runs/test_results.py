@@ -228,6 +228,23 @@ def test_eval_refuses_a_checkpoint_older_than_the_results(
     assert folder.results()["hash"] == before["hash"]
 
 
+@pytest.mark.parametrize(("iteration", "reported"), [(1, False), (2, True)])
+def test_another_hash_is_reported_only_of_the_same_iteration(
+    train: Callable[[], Run],
+    toys: Plugins,
+    device: Device,
+    caplog: pytest.LogCaptureFixture,
+    iteration: int,
+    reported: bool,
+) -> None:
+    folder = train().folder_or_refuse()
+    (max((folder.path / "checkpoint").iterdir()) / "manifest.json").unlink()
+    changed = {**folder.results(), "iterations": iteration, "hash": "f" * 64}
+    (folder.path / "results.json").write_text(json.dumps(changed))
+    continue_run(folder.path, RunOptions(device=device, progress=False), toys)
+    assert ("when the run was finished before" in caplog.text) == reported
+
+
 @pytest.mark.parametrize("name", ["../../evil", "a/b", "", "..", "a\nb", "c\\d"])
 def test_a_picture_outside_the_run_folder_is_refused(
     train: Callable[[], Run], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str

@@ -45,6 +45,8 @@ def only_the_pipeline(pipeline: Path) -> bool:
         (["train", ".", "--scene", "other"], "two scenes are given: . and other", ""),
         (["eval", "."], "not a run folder: it has no pipeline.yaml", ""),
         (["render", "."], "not a run folder", ""),
+        (["render", "toy.yaml"], "it is a file", "`stereogs view FILE.ply` shows Gaussians"),
+        (["compare", "toy.yaml"], "not a run folder: it is a file", "toy.yaml"),
         (["render", ".", "--frames", "9"], "only a path has frames", "--frames"),
         (["plugins", "toy_scene", "--json"], "are about all components", ""),
     ],

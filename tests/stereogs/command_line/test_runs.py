@@ -118,4 +118,8 @@ def test_an_iteration_that_failed_is_repeated(
     fsspec.filesystem("memory").put("run/", "/failed/run", recursive=True)
     assert main(["replay", "memory://failed/run/failures/iteration-0000001"]) == 0
     assert "succeeds now; it had failed with: the" in capsys.readouterr().out
+    file = "memory://failed/run/failures/iteration-0000001/manifest.json"
+    assert main(["replay", file]) == 0
+    assert main(["replay", "memory://failed/run"]) == 2
+    assert "not a failed iteration: it has no manifest.json" in capsys.readouterr().err
     assert main(["resume", "run"]) == 0

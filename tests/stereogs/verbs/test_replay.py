@@ -121,7 +121,7 @@ def test_folders_without_a_failed_iteration_are_refused(
     places = {
         "not of a failed iteration": tmp_path / "run" / "checkpoint" / "iteration-0000010",
         "no such folder": tmp_path / "none",
-        "damaged": tmp_path / "run",
+        "not a failed iteration: it has no manifest.json": tmp_path / "run",
     }
     kept = read_checkpoint(tmp_path / "run" / "failures" / FAILED)
     for name, change in (

@@ -66,6 +66,38 @@ def test_a_run_is_written_to_an_address_and_read_from_it(
     assert f"stereogs resume {run}\n" in capsys.readouterr().err
 
 
+def test_a_pipeline_is_read_from_an_address(capsys: pytest.CaptureFixture[str]) -> None:
+    fsspec.filesystem("memory").put_file("far.yaml", "/bucket/far.yaml")
+    assert main(["explain", "memory://bucket/far.yaml"]) == 0
+    assert "far: 4 iterations" in capsys.readouterr().out
+    assert main(["render", "memory://bucket/far.yaml"]) == 2
+    assert "not a run folder: it is a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["export", "run", "--format", "ply", "--out", f"{URL}/out"],
+        ["init", f"{URL}/mine"],
+        ["data", "build", "llff-3", "here", "--out", f"{URL}/out"],
+        ["data", "check", "llff-3", URL],
+        ["new-plugin", "mine", "--kind", "metric", "--into", URL],
+        ["models", "get", "itermvs", "--from", f"{URL}/x.onnx"],
+        ["next", "run", "--poses", f"{URL}/poses.json"],
+        ["priors", "check", f"{URL}/x.onnx"],
+        ["view", f"{URL}/scene.ply"],
+    ],
+)
+def test_other_paths_are_of_this_machine(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command[0] == "view":
+        pytest.importorskip("viser")
+    assert main(command) == 2
+    assert "this must be a path on this machine, not an address" in capsys.readouterr().err
+    assert not Path("memory:").exists()
+
+
 def test_the_verbs_take_an_address(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", URL]) == 0
     assert main(["train", "far.yaml", "--scene", URL, "--out", "named"]) == 0
