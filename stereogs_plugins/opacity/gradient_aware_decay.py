@@ -43,6 +43,9 @@ class GradientAwareDecaySettings(Settings):
     """Decay factor of a Gaussian without gradient; 1 disables the decay."""
     sensitivity: float = Field(0.5, ge=0)
     """How strongly a gradient reduces the decay."""
+    full_views: int | None = Field(None, ge=1)
+    """With more training views than this, opacities decay less, in inverse proportion to the number of views:
+    they constrain the scene better. null: the same decay for any number."""
     wrt: Literal["activated", "logit"] = "activated"
     """Gradient with respect to the opacity, or to its logit, which vanishes near 0 and 1."""
     scope: Literal["all", "visible", "contributing"] = "all"
@@ -81,6 +84,9 @@ class GradientAwareDecay(OpacityPolicy[GradientAwareDecaySettings]):
         # Without any gradient (nothing visible) all decay by `base`.
         relative = gradient / mean if mean > 0 else torch.zeros_like(gradient)
         share, contributing = self.decay(gradient, relative), gradient > 0
+        full, views = self.settings.full_views, len(step.scene.train)
+        if full is not None and views > full:
+            share *= full / views
         if self.settings.scope != "all":
             # A product takes a third of the time of `torch.where` with a random mask.
             share *= contributing if self.settings.scope == "contributing" else step.model.touched()

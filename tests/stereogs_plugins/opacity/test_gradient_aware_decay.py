@@ -88,6 +88,18 @@ def test_contributing_spares_what_this_view_does_not_show() -> None:
     assert update.opacities[0] < 0.3
 
 
+@pytest.mark.parametrize(("full_views", "factor"), [(None, 1.0), (3, 1.0), (2, 2 / 3), (1, 1 / 3)])
+def test_more_views_than_full_views_decay_less(full_views: int | None, factor: float) -> None:
+    step = step_with(gaussians())
+    view = step.scene.train[0]
+    step = replace(step, scene=replace(step.scene, train=(view, view, view)))
+    before = torch.tensor([0.3, 0.8, 0.5])
+    full = updated(build(GradientAwareDecay), step).opacities
+    less = updated(build(GradientAwareDecay, full_views=full_views), step).opacities
+    torch.testing.assert_close(before - less, factor * (before - full), rtol=1e-4, atol=1e-8)
+    assert torch.equal(less, full) == (factor == 1)
+
+
 def test_without_any_gradient_all_decay_by_the_base() -> None:
     hidden = gaussians()
     hidden.means[:, 2] = -5
