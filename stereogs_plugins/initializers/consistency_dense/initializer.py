@@ -145,7 +145,7 @@ class ConsistencyDense(Initializer[ConsistencyDenseSettings]):
             raise SceneError(
                 f"{needed} other views must confirm a depth (`min_consistent`), but {others} have one",
                 where=scene.name,
-                fix=f"set `min_consistent` to at most {others}, or use more training views",
+                fix=f"set `min_consistent` to at most {others}, or use more views (up to `max_views`)",
             )
         return needed
 
